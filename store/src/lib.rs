@@ -1,0 +1,1 @@
+//! Content-addressed blobs and the stored (Arrow) form of cones and counts.

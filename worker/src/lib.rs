@@ -1,0 +1,1 @@
+//! Lease, build or fetch artifacts, run shards, commit.
