@@ -1,1 +1,2 @@
-//! To be written.
+//! Point spread and optical transfer (§21).
+pub mod quadrature;
