@@ -40,8 +40,8 @@ pub struct Projector {
     pub gaze: Gaze,
 }
 
-/// Relative light of a pixel in a channel.
-fn channel_light(display: &Display, channel: Channel, rgb: &[f32]) -> f64 {
+/// Relative light (0 to 1) of a pixel in a channel.
+pub fn relative_light(display: &Display, channel: Channel, rgb: &[f32]) -> f64 {
     let light = |i: usize| display.transfer.light(f64::from(rgb[i]).clamp(0.0, 1.0));
     match channel {
         Channel::Red => light(0),
@@ -59,7 +59,7 @@ impl Projector {
         for row in 0..height {
             for column in 0..width {
                 let at = 3 * ((scene.first_px[1] + row) * picture.width + scene.first_px[0] + column) as usize;
-                light.push(channel_light(&self.display, emitter.channel, &picture.rgb[at..at + 3]));
+                light.push(relative_light(&self.display, emitter.channel, &picture.rgb[at..at + 3]));
             }
         }
         light

@@ -76,7 +76,7 @@ pub fn transfer_table(
     let otf = Otf::new(&wavefront);
     let landing = projection.retina_um(point.tangent, nm).map_err(|e| e.to_string())?;
     // Cycles of the spread's edge within the band limit decide how finely the transfer oscillates.
-    let cycles = wavefront.spot_radius_um() * otf.cutoff(0.0);
+    let cycles = spot_radius_um(&wavefront) * otf.cutoff(0.0);
     let radial = MIN_RADIAL + (2.5 * cycles).ceil() as usize;
     let azimuthal = MIN_AZIMUTHAL + (2.0 * cycles).ceil() as usize;
     let directions: Vec<Vec<Complex64>> = (0..azimuthal)
@@ -87,8 +87,16 @@ pub fn transfer_table(
         .collect();
     let mut table = over_azimuth(&directions, shape);
     shift(&mut table, point.frequency_map.transpose() * (landing - point.landing_um), shape);
-    let paths = Paths { cornea: wavefront.path_cornea(), lens: wavefront.path_lens() };
+    let paths = Paths { cornea: wavefront.path_cornea, lens: wavefront.path_lens };
     Ok(Transfer { table, throughput: wavefront.throughput(), paths })
+}
+
+/// Largest distance from the chief ray's landing point at which rays land, µm: the gradient of the path difference.
+fn spot_radius_um(wavefront: &Wavefront) -> f64 {
+    let [by_x, by_y] = wavefront.opd_um.gradient();
+    let to_cosines = wavefront.axes.inverse().transpose();
+    let points = (0..4).flat_map(|ring| (0..12).map(move |i| DVec2::from_angle(f64::from(i) * 0.5236) * (0.25 * f64::from(ring + 1))));
+    points.map(|p| (to_cosines * DVec2::new(by_x.at(p), by_y.at(p))).length()).fold(0.0, f64::max)
 }
 
 /// Transfer along a direction at the table's radii; `unit` is the retinal frequency of a unit screen frequency.
