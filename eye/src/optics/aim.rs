@@ -45,6 +45,14 @@ impl<'a> Aimer<'a> {
         (Ray::from_unit(p - BACK_MM * direction, direction), path - BACK_MM)
     }
 
+    pub(super) fn trace(&self, ray: &Ray) -> Traced {
+        self.eye.trace_with(ray, &self.indices)
+    }
+
+    pub(super) fn stop_radius_mm(&self) -> f64 {
+        self.eye.stop_radius_mm
+    }
+
     /// Flux per launch-plane area at `uv`, for unit irradiance at the apex.
     pub(super) fn irradiance(&self, uv: DVec2) -> f64 {
         self.object.irradiance(self.on_plane(uv))

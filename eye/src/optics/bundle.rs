@@ -90,7 +90,7 @@ impl Sphere {
 }
 
 impl PupilBundle {
-    /// Aims and traces the rays.
+    /// Aims and traces the rays at the nodes.
     ///
     /// # Errors
     /// [`OpticsError::NoRay`] when a ray of the pupil does not reach the retina; [`OpticsError::OutOfRange`] for the
@@ -100,6 +100,20 @@ impl PupilBundle {
         object: Object,
         wavelength_nm: f64,
         nodes: PupilNodes,
+    ) -> Result<Self, OpticsError> {
+        Self::trace_points(eye, object, wavelength_nm, &nodes.points(), &nodes.rim())
+    }
+
+    /// Aims and traces the rays through points of the stop: (stop radii, weight), and points of its rim.
+    ///
+    /// # Errors
+    /// As [`PupilBundle::trace`].
+    pub fn trace_points(
+        eye: &SchematicEye,
+        object: Object,
+        wavelength_nm: f64,
+        points: &[(DVec2, f64)],
+        rim: &[(DVec2, f64)],
     ) -> Result<Self, OpticsError> {
         let lost = || OpticsError::NoRay { angle_deg: object.angle_deg() };
         let aimer = Aimer::new(eye, object, wavelength_nm)?;
@@ -116,35 +130,15 @@ impl PupilBundle {
         };
         let chief_path = sphere.meet(&chief, chief_before).ok_or_else(lost)?.0;
         let inverse = aimer.slope(chief_uv).ok_or_else(lost)?.inverse();
-        let one = |stop: DVec2, weight: f64, seed: &mut (DVec2, DVec2, DMat2)| -> Option<PupilRay> {
-            let target = stop * eye.stop_radius_mm;
-            let start = seed.1 + seed.2 * (target - seed.0);
-            let uv = aimer.near(target, start, &mut seed.2)?;
-            (seed.0, seed.1) = (target, uv);
-            let (ray, before) = aimer.launch(uv);
-            let traced = eye.trace_with(&ray, &aimer.indices);
-            traced.landing()?;
-            let (path, q) = sphere.meet(&traced, before)?;
-            Some(PupilRay {
-                stop,
-                weight,
-                launch: uv,
-                irradiance: aimer.irradiance(uv),
-                q: q.truncate(),
-                q_normal: q.z,
-                opd_mm: (path - chief_path) / sphere.n_vitreous,
-                path_mm: traced.path_mm,
-            })
-        };
-        let start = (DVec2::ZERO, chief_uv, inverse);
-        let rays = spokes(nodes, start, &one).ok_or_else(lost)?;
-        let edge = rim(nodes.edge, start, &one).ok_or_else(lost)?;
+        let tracer = Tracer { aimer, sphere, chief_path, start: (DVec2::ZERO, chief_uv, inverse) };
+        let rays = tracer.rays(points).ok_or_else(lost)?;
+        let edge = tracer.rays(rim).ok_or_else(lost)?;
         Ok(Self {
             chief,
             landing,
-            frame: sphere.frame,
-            radius_mm: sphere.radius,
-            n_vitreous: sphere.n_vitreous,
+            frame: tracer.sphere.frame,
+            radius_mm: tracer.sphere.radius,
+            n_vitreous: tracer.sphere.n_vitreous,
             wavelength_nm,
             rays,
             edge,
@@ -161,7 +155,7 @@ impl PupilBundle {
         let (mut m, mut v, mut square, mut total) = (DMat3::ZERO, DVec3::ZERO, 0.0, 0.0);
         let scale = self.rays.iter().map(|r| r.q.length()).fold(1e-12, f64::max);
         for r in &self.rays {
-            let basis = DVec3::new(1.0, r.stop.x, r.stop.y);
+            let basis = DVec3::new(1.0, r.q.x / scale, r.q.y / scale);
             m += r.weight * DMat3::from_cols(basis * basis.x, basis * basis.y, basis * basis.z);
             v += r.weight * r.opd_mm * basis;
             square += r.weight * r.opd_mm * r.opd_mm;
@@ -174,45 +168,70 @@ impl PupilBundle {
     }
 }
 
+/// A solved ray that others start from: stop point (mm), launch point (mm), inverse slope.
 type Seed = (DVec2, DVec2, DMat2);
 
-/// Rays along each spoke from the centre out, so that each starts from its neighbour.
-fn spokes(
-    nodes: PupilNodes,
+struct Tracer<'a> {
+    aimer: Aimer<'a>,
+    sphere: Sphere,
+    chief_path: f64,
     start: Seed,
-    one: &impl Fn(DVec2, f64, &mut Seed) -> Option<PupilRay>,
-) -> Option<Vec<PupilRay>> {
-    let radii = gauss_legendre(nodes.radial);
-    let mut rays = Vec::with_capacity(nodes.radial * nodes.azimuth);
-    for a in 0..nodes.azimuth {
-        let angle = 2.0 * PI * (a as f64 + 0.5) / nodes.azimuth as f64;
-        let mut seed = start;
-        for &(x, w) in &radii {
-            let r = (0.5 * (1.0 + x)).sqrt();
-            rays.push(one(DVec2::from_angle(angle) * r, w * 0.5 * PI / nodes.azimuth as f64, &mut seed)?);
-        }
+}
+
+impl Tracer<'_> {
+    /// One ray after the other, each aimed from the one before it or, when that is farther off, from the chief ray.
+    fn rays(&self, points: &[(DVec2, f64)]) -> Option<Vec<PupilRay>> {
+        let radius = self.aimer.stop_radius_mm();
+        let mut seed = self.start;
+        points
+            .iter()
+            .map(|&(stop, weight)| {
+                let target = stop * radius;
+                if (target - seed.0).length() > target.length() {
+                    seed = self.start;
+                }
+                let start = seed.1 + seed.2 * (target - seed.0);
+                let uv = self.aimer.near(target, start, &mut seed.2)?;
+                (seed.0, seed.1) = (target, uv);
+                self.ray(stop, weight, uv)
+            })
+            .collect()
     }
-    Some(rays)
+
+    fn ray(&self, stop: DVec2, weight: f64, uv: DVec2) -> Option<PupilRay> {
+        let (ray, before) = self.aimer.launch(uv);
+        let traced = self.aimer.trace(&ray);
+        // The rim may fail the iris by a rounding error; what counts is that the retina is reached.
+        traced.hits[4]?;
+        let (path, q) = self.sphere.meet(&traced, before)?;
+        Some(PupilRay {
+            stop,
+            weight,
+            launch: uv,
+            irradiance: self.aimer.irradiance(uv),
+            q: q.truncate(),
+            q_normal: q.z,
+            opd_mm: (path - self.chief_path) / self.sphere.n_vitreous,
+            path_mm: traced.path_mm,
+        })
+    }
 }
 
-/// Rays along the rim of the stop, at azimuth 2πk/count.
-fn rim(
-    count: usize,
-    start: Seed,
-    one: &impl Fn(DVec2, f64, &mut Seed) -> Option<PupilRay>,
-) -> Option<Vec<PupilRay>> {
-    let mut seed = start;
-    (0..count)
-        .map(|k| one(DVec2::from_angle(2.0 * PI * k as f64 / count as f64), 0.0, &mut seed))
-        .collect()
-}
+impl PupilNodes {
+    /// Points of the unit stop with weights that sum to π, spoke by spoke from the centre out.
+    pub fn points(&self) -> Vec<(DVec2, f64)> {
+        let radii = gauss_legendre(self.radial);
+        let azimuths = self.azimuth.max(1) as f64;
+        (0..self.azimuth)
+            .flat_map(|a| {
+                let way = DVec2::from_angle(2.0 * PI * (a as f64 + 0.5) / azimuths);
+                radii.iter().map(move |&(x, w)| (way * (0.5 * (1.0 + x)).sqrt(), w * 0.5 * PI / azimuths))
+            })
+            .collect()
+    }
 
-/// A ray of the launch plane, for callers that trace on their own.
-pub(crate) fn launch_ray(
-    eye: &SchematicEye,
-    object: Object,
-    wavelength_nm: f64,
-    uv: DVec2,
-) -> Result<(Ray, f64), OpticsError> {
-    Ok(Aimer::new(eye, object, wavelength_nm)?.launch(uv))
+    /// Points of the rim at azimuth 2πk/edge.
+    pub fn rim(&self) -> Vec<(DVec2, f64)> {
+        (0..self.edge).map(|k| (DVec2::from_angle(2.0 * PI * k as f64 / self.edge as f64), 0.0)).collect()
+    }
 }
