@@ -1,7 +1,7 @@
 //! The production point spread: Fraunhofer's integral as two matrix products over chord Gauss nodes.
 //!
 //! With p the direction cosines along the grid's axes i and j, the integral over p_i runs along chords of the pupil
-//! (Gauss–Legendre), that over p_j over chords (in τ, see [`super::chords`]):
+//! (Gauss–Legendre), that over p_j over chords (trapezoidal in τ, see [`super::chords`]):
 //! field(ξ_i, ξ_j) = Σ_b exp(−i k' p_b ξ_j) Σ_a P_ab exp(−i k' p_ab ξ_i).
 //! Samples come in pairs ±ξ whose exponentials are conjugate: each product is taken once for both.
 //!
@@ -15,7 +15,7 @@ use super::sincos::sin_cos_turns;
 use super::wavefront::Wavefront;
 use glam::{DMat2, DVec2};
 use serde::{Deserialize, Serialize};
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::PI;
 
 /// Which way the grid's first index runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,7 +45,13 @@ pub struct PsfGrid {
 impl PsfGrid {
     /// A grid about the landing point of the chief ray, first index away from the optical axis.
     pub fn new(samples: usize, half_width_um: f64) -> Self {
-        Self { samples, half_width_um, centre_um: DVec2::ZERO, axes: GridAxes::Meridional, nodes: None }
+        Self {
+            samples,
+            half_width_um,
+            centre_um: DVec2::ZERO,
+            axes: GridAxes::Meridional,
+            nodes: None,
+        }
     }
 
     /// Distance of two samples, µm.
@@ -71,7 +77,11 @@ impl PsfGrid {
 /// Nodes per diameter for a pupil of half-width `half` (direction cosines) and rays that land up to `reach_um` away.
 pub fn nodes_needed(half: f64, wavelength_um: f64, reach_um: f64) -> usize {
     let half_omega = PI * half / wavelength_um * reach_um;
-    let nodes = if half_omega < 60.0 { 0.95 * half_omega + 9.0 } else { 1.05 * half_omega + 12.0 };
+    let nodes = if half_omega < 60.0 {
+        0.95 * half_omega + 9.0
+    } else {
+        1.05 * half_omega + 12.0
+    };
     (nodes.ceil() as usize).clamp(8, 4096)
 }
 
@@ -88,14 +98,23 @@ struct Strip {
 pub fn psf(w: &Wavefront, grid: &PsfGrid) -> Vec<f64> {
     let n = grid.samples.min(8192);
     let strips = strips(w, grid, n.div_ceil(2));
-    let across: Vec<Vec<(f64, f64)>> = strips.iter().map(|s| exponentials(s.turns_per_um, grid, n)).collect();
+    let across: Vec<Vec<(f64, f64)>> = strips
+        .iter()
+        .map(|s| exponentials(s.turns_per_um, grid, n))
+        .collect();
     let norm = w.amplitude_sum * w.axes.determinant().abs();
     let scale = 1.0 / (norm * norm);
     let mut out = vec![0.0; n * n];
     for i in 0..n {
         // Row i: offset +ξ for the upper half of the rows, −ξ for the lower.
-        let h = if 2 * i >= n { i - n / 2 } else { (n - 1 - i) - n / 2 };
-        let fields = strips.iter().map(|s| if 2 * i >= n { s.plus[h] } else { s.minus[h] });
+        let h = if 2 * i >= n {
+            i - n / 2
+        } else {
+            (n - 1 - i) - n / 2
+        };
+        let fields = strips
+            .iter()
+            .map(|s| if 2 * i >= n { s.plus[h] } else { s.minus[h] });
         write_row(&mut out[i * n..(i + 1) * n], fields, &across, scale);
     }
     out
@@ -128,7 +147,9 @@ fn write_row(
 
 /// (sin, cos) of 2π·turns·ξ at the offsets from the middle up.
 fn exponentials(turns_per_um: f64, grid: &PsfGrid, n: usize) -> Vec<(f64, f64)> {
-    (n / 2..n).map(|i| sin_cos_turns(turns_per_um * grid.offset(i))).collect()
+    (n / 2..n)
+        .map(|i| sin_cos_turns(turns_per_um * grid.offset(i)))
+        .collect()
 }
 
 fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> Vec<Strip> {
@@ -141,21 +162,26 @@ fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> Vec<Strip> {
     // Nodes: the rays land up to `reach` from the samples.
     let [gx, gy] = w.opd_um.gradient();
     let pull = w.axes.inverse().transpose();
-    let spot =
-        w.samples().map(|s| (pull * DVec2::new(gx.at(s), gy.at(s)) - grid.centre_um).length()).fold(0.0, f64::max);
+    let spot = w
+        .samples()
+        .map(|s| (pull * DVec2::new(gx.at(s), gy.at(s)) - grid.centre_um).length())
+        .fold(0.0, f64::max);
     let reach = spot + std::f64::consts::SQRT_2 * grid.half_width_um;
-    let count = |half: f64| gauss_legendre(grid.nodes.unwrap_or_else(|| nodes_needed(half, wavelength, reach)));
-    let (outer, inner) = (count(chords.half_height()), count(chords.longest().1 / 2.0));
+    let count = |half: f64| {
+        grid.nodes
+            .unwrap_or_else(|| nodes_needed(half, wavelength, reach))
+    };
+    let outer = chords.rule(count(chords.half_height()));
+    let inner = gauss_legendre(count(chords.longest().1 / 2.0));
     let turns = w.opd_um.scaled(1.0 / wavelength);
     outer
         .iter()
-        .map(|&(u, wu)| {
-            let chord = chords.at(u * FRAC_PI_2);
+        .map(|&(chord, wu)| {
             let mut sums = vec![[0.0; 4]; half_samples];
             for &(v, wv) in &inner {
                 let p = DVec2::new(chord.middle + 0.5 * chord.length * v, chord.y);
                 let s = from_grid * p - offset;
-                let weight = w.amplitude.at(s) * wu * FRAC_PI_2 * chord.slope * wv * 0.5 * chord.length;
+                let weight = w.amplitude.at(s) * wu * wv * 0.5 * chord.length;
                 let shift = (p.x * e_i + p.y * e_j).dot(grid.centre_um) / wavelength;
                 let (sin, cos) = sin_cos_turns(turns.at(s) - shift);
                 accumulate(&mut sums, weight * cos, weight * sin, p.x / wavelength, grid);
@@ -181,7 +207,10 @@ fn accumulate(sums: &mut [[f64; 4]], re: f64, im: f64, turns_per_um: f64, grid: 
             sum[1] += im * *sin;
             sum[2] += im * *cos;
             sum[3] += re * *sin;
-            (*sin, *cos) = (*sin * step_cos + *cos * step_sin, *cos * step_cos - *sin * step_sin);
+            (*sin, *cos) = (
+                *sin * step_cos + *cos * step_sin,
+                *cos * step_cos - *sin * step_sin,
+            );
         }
     }
 }

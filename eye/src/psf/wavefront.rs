@@ -11,14 +11,14 @@
 use super::chords::Chords;
 use super::least_squares::fit;
 use super::outline::Outline;
-use super::polynomial::{Polynomial2, count};
+use super::polynomial::Polynomial2;
 use super::quadrature::gauss_legendre;
 use super::sincos::sin_cos_turns;
 use crate::optics::{Object, OpticsError, PupilBundle, PupilNodes, SchematicEye};
 use glam::{DMat2, DVec2, DVec3};
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::PI;
 
 /// What the amplitude over the pupil follows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -101,7 +101,10 @@ impl Wavefront {
         wavelength_nm: f64,
         options: &WavefrontOptions,
     ) -> Result<Self, OpticsError> {
-        let degree = options.degree.unwrap_or(if eye.state().pupil_mm <= 4.0 { 8 } else { 12 }).clamp(2, 20);
+        let degree = options
+            .degree
+            .unwrap_or(if eye.state().pupil_mm <= 4.0 { 8 } else { 12 })
+            .clamp(2, 20);
         let nodes = PupilNodes {
             radial: options.radial_nodes.unwrap_or(degree * 3 / 4 + 2).max(2),
             azimuth: options.azimuth_nodes.unwrap_or(3 * degree + 4).max(6),
@@ -110,8 +113,12 @@ impl Wavefront {
         let rho = options.stiles_crawford.map_or(0.0, |s| s.rho_base10_per_mm2);
         crate::optics::error::in_range("rho_base10_per_mm2", rho, -0.5, 0.5)?;
         let bundle = PupilBundle::trace(eye, object, wavelength_nm, nodes)?;
-        let lost = OpticsError::NoRay { angle_deg: object.angle_deg() };
-        let Some((centre, axes)) = pupil_coordinates(&bundle) else { return Err(lost) };
+        let lost = OpticsError::NoRay {
+            angle_deg: object.angle_deg(),
+        };
+        let Some((centre, axes)) = pupil_coordinates(&bundle) else {
+            return Err(lost);
+        };
         let fitted = Fitted::new(eye, &bundle, options.amplitude, rho, degree, centre, axes);
         let mut wavefront = Self {
             wavelength_nm,
@@ -176,16 +183,15 @@ impl Wavefront {
         self.energy_open = energy / self.throughput;
     }
 
-    /// ∫ f(s) ds over the pupil by `nodes`² Gauss nodes on chords.
+    /// ∫ f(s) ds over the pupil by `nodes`² nodes on chords.
     fn over_pupil<const N: usize>(&self, nodes: usize, f: impl Fn(DVec2) -> [f64; N]) -> [f64; N] {
         let chords = Chords::new(&self.outline);
         let rule = gauss_legendre(nodes);
         let mut sum = [0.0; N];
-        for &(u, wu) in &rule {
-            let chord = chords.at(u * FRAC_PI_2);
+        for (chord, wu) in chords.rule(nodes) {
             for &(v, wv) in &rule {
                 let s = DVec2::new(chord.middle + 0.5 * chord.length * v, chord.y);
-                let weight = wu * FRAC_PI_2 * chord.slope * wv * 0.5 * chord.length;
+                let weight = wu * wv * 0.5 * chord.length;
                 for (total, value) in sum.iter_mut().zip(f(s)) {
                     *total += weight * value;
                 }
@@ -267,7 +273,8 @@ impl Fitted {
         let inverse = axes.inverse();
         let points: Vec<DVec2> = bundle.rays.iter().map(|r| inverse * (r.q - centre)).collect();
         let weights: Vec<f64> = bundle.rays.iter().map(|r| r.weight).collect();
-        let side = |f: &dyn Fn(&crate::optics::PupilRay) -> f64| bundle.rays.iter().map(f).collect::<Vec<_>>();
+        let side =
+            |f: &dyn Fn(&crate::optics::PupilRay) -> f64| bundle.rays.iter().map(f).collect::<Vec<_>>();
         // Path difference, and the maps back to the stop and the launch plane for their Jacobians.
         let [opd, stop_x, stop_y, launch_x, launch_y] = fit(
             degree,
@@ -303,9 +310,7 @@ impl Fitted {
             cornea += ds * flux_density * ray.path_mm[1];
             lens += ds * flux_density * ray.path_mm[3];
         }
-        let amplitude_degree = degree.min(10);
-        debug_assert!(count(amplitude_degree) < points.len());
-        let [amplitude] = fit(amplitude_degree, &points, &weights, [amplitudes]);
+        let [amplitude] = fit(degree, &points, &weights, [amplitudes]);
         let rim: Vec<DVec2> = bundle.edge.iter().map(|r| inverse * (r.q - centre)).collect();
         let thickness = eye.thickness_mm();
         Self {
@@ -340,7 +345,12 @@ fn pupil_coordinates(bundle: &PupilBundle) -> Option<(DVec2, DMat2)> {
     let total: f64 = bundle.rays.iter().map(|r| r.weight).sum();
     let centre = bundle.rays.iter().map(|r| r.q * r.weight).sum::<DVec2>() / total;
     let moment = |f: fn(DVec2) -> f64| {
-        bundle.rays.iter().map(|r| (r.q - centre) * (r.weight * f(r.stop))).sum::<DVec2>() / (total / 4.0)
+        bundle
+            .rays
+            .iter()
+            .map(|r| (r.q - centre) * (r.weight * f(r.stop)))
+            .sum::<DVec2>()
+            / (total / 4.0)
     };
     let axes = DMat2::from_cols(moment(|s| s.x), moment(|s| s.y));
     (axes.determinant().abs() > 1e-12).then_some((centre, axes))
