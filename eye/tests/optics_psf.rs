@@ -4,6 +4,8 @@
 //! public optics packages (optiland, rayoptics): Escudero-Sanz & Navarro 1999 eye, polyline dispersion, uniform weight
 //! over the stop; 1 = the same pupil without path differences.
 
+#![allow(clippy::unwrap_used)] // helpers of tests, too, stop at the first error
+
 use glam::DVec2;
 use photoneye_eye::optics::{Dispersion, EyeState, Object, OpticsError, Prescription, SchematicEye, Side};
 use photoneye_eye::psf::polynomial::Polynomial2;

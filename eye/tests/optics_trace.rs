@@ -1,5 +1,7 @@
 //! The traced eye against two public optics packages and its published cardinal values.
 
+#![allow(clippy::unwrap_used)] // helpers of tests, too, stop at the first error
+
 use glam::{DVec2, DVec3};
 use photoneye_eye::optics::{
     Dispersion, EyeState, Object, OpticsError, Prescription, Projection, PupilBundle, PupilNodes, Ray,

@@ -35,7 +35,7 @@ impl Chords {
         let top = extreme(outline, s1.y.atan2(c1.y));
         let bottom = extreme(outline, s1.y.atan2(c1.y) + PI);
         let (y_top, y_bottom) = (outline.at(top)[0].y, outline.at(bottom)[0].y);
-        let (middle, half) = ((y_top + y_bottom) / 2.0, (y_top - y_bottom) / 2.0);
+        let (middle, half) = (f64::midpoint(y_top, y_bottom), (y_top - y_bottom) / 2.0);
         let way = if outline.at(top - FRAC_PI_2)[0].x > outline.at(top + FRAC_PI_2)[0].x {
             1.0
         } else {
@@ -135,7 +135,7 @@ impl Chords {
                 low = a;
             }
         }
-        let tau = (low + high) / 2.0;
+        let tau = f64::midpoint(low, high);
         (tau, self.at(tau).length)
     }
 
@@ -149,15 +149,15 @@ impl Chords {
             for _ in 0..60 {
                 let excess = self.at(tau).length - length;
                 if excess > 0.0 {
-                    inside = tau
+                    inside = tau;
                 } else {
-                    outside = tau
+                    outside = tau;
                 }
                 let slope = (self.at(tau + h).length - self.at(tau - h).length) / (2.0 * h);
                 let mut next = tau - excess / slope;
                 let (a, b) = (inside.min(outside), inside.max(outside));
                 if !(next > a && next < b) {
-                    next = (a + b) / 2.0;
+                    next = f64::midpoint(a, b);
                 }
                 let moved = (next - tau).abs();
                 tau = next;
@@ -183,13 +183,13 @@ fn crossing(outline: &Outline, from: f64, to: f64, part: f64, wanted: f64) -> f6
         let [p, d, _] = outline.at(alpha);
         let excess = p.y - wanted;
         if (excess > 0.0) == rising {
-            after = alpha
+            after = alpha;
         } else {
-            before = alpha
+            before = alpha;
         }
         let mut next = alpha - excess / d.y;
         if !(next > before.min(after) && next < before.max(after)) {
-            next = (before + after) / 2.0;
+            next = f64::midpoint(before, after);
         }
         let moved = (next - alpha).abs();
         alpha = next;

@@ -28,6 +28,11 @@ const LANES: usize = 4;
 const FLOOR_ALONG: f64 = 6.0;
 const FLOOR_ACROSS: f64 = 9.0;
 
+/// Swing from which the phase difference is sampled, because its bound is too wide.
+const MEASURE_ABOVE: f64 = 8.0;
+/// Samples of it along and across.
+const PROBES: usize = 14;
+
 /// The transfer function of one wavefront.
 #[derive(Clone, Debug)]
 pub struct Otf {
@@ -168,14 +173,18 @@ impl Otf {
             return Complex64::ZERO;
         }
         let (low, high) = t.chords.ends(t.peak, t.longest, delta);
-        let (tau_mid, tau_half) = ((low + high) / 2.0, (high - low) / 2.0);
+        let (tau_mid, tau_half) = (f64::midpoint(low, high), (high - low) / 2.0);
         // Half the swing of the phase difference over the overlap, along a chord and across the chords; what is left
         // of a chord's own swing after the sum along it varies across them too.
         let height = (t.chords.at(high).y - t.chords.at(low).y) / 2.0;
-        let swing_along = PI * t.bend_along * delta * (t.longest - delta) / 2.0;
-        let swing_across = PI * t.bend_across * delta * height;
+        let mut swing_along = PI * t.bend_along * delta * (t.longest - delta) / 2.0;
+        let mut swing_across = 1.3 * PI * t.bend_across * delta * height + swing_along;
+        if swing_along.max(swing_across) > MEASURE_ABOVE {
+            let (a, b) = t.measured_swings(delta, tau_mid, tau_half);
+            (swing_along, swing_across) = (swing_along.min(a), swing_across.min(b + 0.2 * a));
+        }
         let along = self.nodes(LANES, FLOOR_ALONG + self.fading + 1.05 * swing_along);
-        let across = self.nodes(2, FLOOR_ACROSS + self.fading + 1.3 * swing_across + swing_along);
+        let across = self.nodes(2, FLOOR_ACROSS + self.fading + swing_across);
         prepare(&mut t.rules, along);
         prepare(&mut t.rules, across);
         let (Some(Some(inner)), Some(Some(outer))) = (t.rules.get(along), t.rules.get(across)) else {
@@ -203,6 +212,39 @@ impl Otf {
 
     fn nodes(&self, step: usize, wanted: f64) -> usize {
         ((self.margin * wanted / step as f64).ceil() as usize * step).min(MOST_NODES)
+    }
+}
+
+impl Turned {
+    /// Half the swing of the phase difference, along the chords and across them at a fixed part of the chord. Gauss
+    /// nodes are dense at the ends: what counts is the slope by the angle θ of x = cos θ, between Gauss probes.
+    fn measured_swings(&self, delta: f64, tau_mid: f64, tau_half: f64) -> (f64, f64) {
+        let theta = |k: usize| PI * (k as f64 + 0.75) / (PROBES as f64 + 0.5);
+        let mut line = vec![0.0; self.turns.degree() + 1];
+        let mut last = [0.0; PROBES];
+        let (mut along, mut across) = (0.0_f64, 0.0_f64);
+        for j in 0..PROBES {
+            let chord = self.chords.at(tau_mid + tau_half * theta(j).cos());
+            let half = (chord.length - delta).max(0.0) / 2.0;
+            self.turns.along_x(chord.y, &mut line);
+            let phase: [f64; PROBES] = std::array::from_fn(|k| {
+                let far = chord.middle + 0.5 * delta + half * theta(k).cos();
+                horner(&line, far - delta) - horner(&line, far)
+            });
+            for k in 1..PROBES {
+                along = along.max((phase[k] - phase[k - 1]).abs());
+            }
+            if j > 0 {
+                across = phase
+                    .iter()
+                    .zip(&last)
+                    .fold(across, |m, (p, l)| m.max((p - l).abs()));
+            }
+            last = phase;
+        }
+        // Turns a probe step, to half the radians a unit of θ; half as much again for what lies between the probes.
+        let scale = 1.5 * PI / (theta(1) - theta(0));
+        (along * scale, across * scale)
     }
 }
 

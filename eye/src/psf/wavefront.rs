@@ -9,7 +9,7 @@
 //! A Stiles–Crawford apodization multiplies the amplitude by 10^(−ρ r²/2), r in mm of the entrance pupil.
 
 use super::chords::Chords;
-use super::least_squares::fit;
+use super::least_squares::LeastSquares;
 use super::outline::Outline;
 use super::polynomial::Polynomial2;
 use super::quadrature::gauss_legendre;
@@ -273,20 +273,17 @@ impl Fitted {
         let inverse = axes.inverse();
         let points: Vec<DVec2> = bundle.rays.iter().map(|r| inverse * (r.q - centre)).collect();
         let weights: Vec<f64> = bundle.rays.iter().map(|r| r.weight).collect();
-        let side =
-            |f: &dyn Fn(&crate::optics::PupilRay) -> f64| bundle.rays.iter().map(f).collect::<Vec<_>>();
+        let design = LeastSquares::new(degree, &points, &weights);
         // Path difference, and the maps back to the stop and the launch plane for their Jacobians.
-        let [opd, stop_x, stop_y, launch_x, launch_y] = fit(
-            degree,
-            &points,
-            &weights,
-            [
-                side(&|r| r.opd_mm * 1e3),
-                side(&|r| r.stop.x),
-                side(&|r| r.stop.y),
-                side(&|r| r.launch.x),
-                side(&|r| r.launch.y),
-            ],
+        let rays = || bundle.rays.iter();
+        let opd = design.fit(rays().map(|r| r.opd_mm * 1e3));
+        let (stop_x, stop_y) = (
+            design.fit(rays().map(|r| r.stop.x)),
+            design.fit(rays().map(|r| r.stop.y)),
+        );
+        let (launch_x, launch_y) = (
+            design.fit(rays().map(|r| r.launch.x)),
+            design.fit(rays().map(|r| r.launch.y)),
         );
         let stop_per_s = Jacobian::new(&stop_x, &stop_y);
         let launch_per_s = Jacobian::new(&launch_x, &launch_y);
@@ -310,7 +307,7 @@ impl Fitted {
             cornea += ds * flux_density * ray.path_mm[1];
             lens += ds * flux_density * ray.path_mm[3];
         }
-        let [amplitude] = fit(degree, &points, &weights, [amplitudes]);
+        let amplitude = design.fit(amplitudes.into_iter());
         let rim: Vec<DVec2> = bundle.edge.iter().map(|r| inverse * (r.q - centre)).collect();
         let thickness = eye.thickness_mm();
         Self {
