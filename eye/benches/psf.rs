@@ -2,7 +2,10 @@
 //!
 //! `cargo bench -p photoneye-eye --bench psf`
 
-use photoneye_eye::optics::{Dispersion, EyeState, Object, OpticsError, Prescription, SchematicEye, Side};
+use glam::DVec2;
+use photoneye_eye::optics::{
+    Dispersion, EyeState, Object, OpticsError, Prescription, Projection, SchematicEye, Side,
+};
 use photoneye_eye::psf::{HuygensOptions, Otf, PsfGrid, Wavefront, WavefrontOptions, huygens, psf};
 use std::hint::black_box;
 use std::time::Instant;
@@ -62,5 +65,41 @@ fn main() -> Result<(), OpticsError> {
             );
         }
     }
+    projection(&p)
+}
+
+#[allow(clippy::print_stdout)] // a bench prints its table
+fn projection(p: &Prescription) -> Result<(), OpticsError> {
+    let state = EyeState {
+        pupil_mm: 3.0,
+        decentre_mm: 0.4,
+        accommodation_a: 0.0,
+        dispersion: Dispersion::Herzberger,
+        side: Side::Right,
+    };
+    let eye = SchematicEye::new(p, &state)?;
+    let screen = Projection::new(&eye, 2400.0)?;
+    let um = DVec2::new(1500.0, -700.0);
+    let fit = screen.fit(DVec2::splat(-2000.0), DVec2::splat(2000.0))?;
+    println!(
+        "focusing {:.2} ms",
+        1e3 * best(5, || SchematicEye::accommodation_for(p, &state, 2400.0, 543.0))
+    );
+    println!(
+        "chief ray to the retina {:.2} µs",
+        1e6 * best(200, || screen.retina_um(DVec2::new(0.1, 0.2), 543.0))
+    );
+    println!(
+        "retina to screen, exact {:.1} µs",
+        1e6 * best(200, || screen.screen_tangent(um))
+    );
+    println!(
+        "fit over ±2 mm {:.2} ms, error {:.1e}; evaluation {:.0} ns",
+        1e3 * best(5, || screen.fit(DVec2::splat(-2000.0), DVec2::splat(2000.0))),
+        fit.max_error(),
+        1e6 * best(20, || (0..1000)
+            .map(|k| fit.screen_tangent(um + f64::from(k)).x)
+            .sum::<f64>())
+    );
     Ok(())
 }

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // helpers of tests, too, stop at the first error
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use photoneye_eye::optics::{Dispersion, EyeState, Object, Prescription, SchematicEye, Side};
 use photoneye_eye::psf::polynomial::Polynomial2;
 use photoneye_eye::psf::{
@@ -223,5 +223,40 @@ fn extremes_stay_finite() {
                 "{v}"
             );
         }
+    }
+}
+
+#[test]
+fn left_eye_is_the_mirror_image_of_the_right() {
+    let p = Prescription::preset("escudero-sanz-navarro").unwrap();
+    let make = |side, x: f64| {
+        let dispersion = Dispersion::Herzberger;
+        let state = EyeState {
+            pupil_mm: 4.0,
+            decentre_mm: 0.4,
+            accommodation_a: 0.1,
+            dispersion,
+            side,
+        };
+        let eye = SchematicEye::new(&p, &state).unwrap();
+        let object = Object::at_infinity(DVec3::new(x, 0.2, 1.0)).unwrap();
+        Wavefront::new(&eye, object, 610.0, &WavefrontOptions::default()).unwrap()
+    };
+    // Superior is −x in the right eye and +x in the left.
+    let (right, left) = (make(Side::Right, 0.15), make(Side::Left, -0.15));
+    assert!(
+        (right.landing_um - left.landing_um).length() < 1e-8,
+        "{} {}",
+        right.landing_um,
+        left.landing_um
+    );
+    assert!(right.landing_um.length() > 1000.0);
+    let (a, b) = (Otf::new(&right), Otf::new(&left));
+    for nu in [DVec2::new(0.05, 0.02), DVec2::new(-0.03, 0.1)] {
+        assert!(
+            (a.value(nu) - b.value(nu)).norm() < 1e-6 && a.value(nu).im.abs() > 1e-3,
+            "{}",
+            a.value(nu)
+        );
     }
 }

@@ -128,8 +128,8 @@ fn four_reference_point_spreads() {
         let wrong = difference(&every_second_column(&flipped), &reference) / peak;
         // The reference sum, exact distance and its linear part.
         let nodes = |exact_distance| HuygensOptions {
-            radial: 40,
-            azimuth: 120,
+            radial: if case.half_width_um > 20.0 { 40 } else { 14 },
+            azimuth: if case.half_width_um > 20.0 { 120 } else { 48 },
             exact_distance,
         };
         let sum =

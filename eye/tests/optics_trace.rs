@@ -204,6 +204,8 @@ fn projection_inverts() {
         DVec2::new(0.3, -0.2),
         DVec2::new(-1.2, 0.9),
         DVec2::new(2.5, 1.0),
+        DVec2::new(-5.5, 0.3),
+        DVec2::new(0.1, -6.0),
     ] {
         let um = p.retina_um(t, 543.0).unwrap();
         let back = p.screen_tangent(um).unwrap();

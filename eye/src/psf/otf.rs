@@ -19,7 +19,8 @@ use glam::{DMat2, DVec2};
 use rustfft::num_complex::Complex64;
 use std::f64::consts::PI;
 
-/// Most nodes along or across; reached only beyond some hundred waves of defocus, where the transfer is nearly 0.
+/// Most nodes along or across. A phase difference that needs more swings through some thousand radians over the pupil:
+/// the transfer is below about 1/1000 there and is returned as 0.
 const MOST_NODES: usize = 1024;
 /// Nodes along a chord come in blocks of this many, for vector code.
 const LANES: usize = 4;
@@ -185,6 +186,9 @@ impl Otf {
         }
         let along = self.nodes(LANES, FLOOR_ALONG + self.fading + 1.05 * swing_along);
         let across = self.nodes(2, FLOOR_ACROSS + self.fading + swing_across);
+        if along.max(across) > MOST_NODES {
+            return Complex64::ZERO;
+        }
         prepare(&mut t.rules, along);
         prepare(&mut t.rules, across);
         let (Some(Some(inner)), Some(Some(outer))) = (t.rules.get(along), t.rules.get(across)) else {
@@ -211,7 +215,7 @@ impl Otf {
     }
 
     fn nodes(&self, step: usize, wanted: f64) -> usize {
-        ((self.margin * wanted / step as f64).ceil() as usize * step).min(MOST_NODES)
+        (self.margin * wanted / step as f64).ceil().min(1e6) as usize * step
     }
 }
 
