@@ -1,6 +1,6 @@
 //! The engines `paper` (photon by photon) and `expected` (exact means) agree on a benign scene.
 //!
-//! With the paper's own settings they differ by that method's errors: the 20 µm window, renormalized, and 1024 random rays. With a
+//! With the paper's own settings they differ by that method's errors: the 20 µm window, renormalized, and 1024 perturbed rays. With a
 //! wide window and many rays what remains is chance, which a chi-square test measures.
 
 mod support;
@@ -51,7 +51,7 @@ fn sums(experiment: &Experiment, frames: u32) -> (Vec<f64>, PhotonBudget) {
     (counts, budget)
 }
 
-const FRAMES: u32 = 4;
+const FRAMES: u32 = 2;
 
 fn both(settings: PaperSettings) -> (Vec<f64>, Vec<f64>, PhotonBudget, PhotonBudget) {
     let mut experiment = benign();
