@@ -25,7 +25,7 @@ pub enum ConeType {
 /// Rare events met while cones were made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
-    /// Encounters of two cones in one place in the tiles and their halos (parted by a hashed direction).
+    /// Encounters of two cones in one place (parted by a hashed direction).
     pub coincident: u64,
     /// Cones with a neighbour closer than D = 0.6 at the end.
     pub close_pairs: u64,
@@ -164,7 +164,7 @@ impl Cones {
     }
 }
 
-/// The cones whose centre lies in one tile, in order of their id.
+/// The cones whose centre lies in one tile, in Morton order of their birth places.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RetinaTile {
     /// Which tile.
@@ -254,7 +254,7 @@ impl Retina {
 }
 
 /// Interleaved bits of the position in steps of 1/256 µm.
-fn morton(p: DVec2) -> u64 {
+pub(super) fn morton(p: DVec2) -> u64 {
     let spread = |v: f64| {
         // Saturating: positions are within 32 mm of the origin.
         let mut x = u64::from(((v + 65_536.0) * 256.0) as u32);

@@ -1,6 +1,6 @@
 //! Tiles: the retina's chart cut into squares that can be made one by one, in any order, anywhere.
 //!
-//! The chart is divided into squares of `TILE_UM`; away from the fovea, where cones are rarer, aligned blocks of 2x2, 4x4 and 8x8 of them
+//! The chart is divided into squares of `TILE_UM`; away from the fovea, where cones are rarer, aligned blocks of 2x2 and 4x4 of them
 //! are one tile. A tile is named by the square at its lower left corner. Its edges are half-open, so a cone is in one tile.
 //!
 //! A tile is made from birth places in a halo round it. `relax` follows which cones have seen all their true neighbours at every
@@ -13,19 +13,19 @@ use serde::{Deserialize, Serialize};
 
 use super::cells::{Cells, build_cells};
 use super::field::Field;
-use super::mosaic::{Cones, Counts, Retina, RetinaTile};
+use super::mosaic::{Cones, Retina, RetinaTile};
 use super::params::{RetinaError, RetinaParams};
 use super::relax::{Relaxed, relax};
 use super::types::{Kind, assign};
 
 /// Side of the smallest tile, µm of the chart.
-pub const TILE_UM: f64 = 256.0;
-/// Distance from the foveal centre, µm, from which blocks of 2, 4 and 8 tiles a side are one tile.
-const BLOCK_FROM_UM: [f64; 3] = [500.0, 1_500.0, 6_000.0];
+pub const TILE_UM: f64 = 512.0;
+/// Distance from the foveal centre, µm, from which blocks of 2 and 4 squares a side are one tile.
+const BLOCK_FROM_UM: [f64; 2] = [1_000.0, 3_000.0];
 /// Rows of cones round a tile that must be exact: cells two rows out with all their neighbours, S cones three rows out.
-const EXACT_ROWS: f64 = 7.5;
+const EXACT_ROWS: f64 = 6.5;
 /// Rows round a tile for which cells are built.
-pub(super) const CELL_ROWS: f64 = 5.0;
+pub(super) const CELL_ROWS: f64 = 4.0;
 /// How often a halo is widened before giving up.
 const ATTEMPTS: u32 = 4;
 
@@ -174,20 +174,15 @@ pub fn build_tile(p: &RetinaParams, t: TileId) -> Result<RetinaTile, RetinaError
     Err(RetinaError::Halo { i: t.i, j: t.j })
 }
 
-/// The cones whose final place is in the region, in order of their id.
+/// The cones whose final place is in the region, in Morton order of birth.
 fn collect(field: &Field, region: &RegionUm, relaxed: &Relaxed, cells: &Cells, kinds: &[Kind]) -> Cones {
-    let mut cones = Cones {
-        counts: Counts {
-            coincident: relaxed.coincident,
-            ..Counts::default()
-        },
-        ..Cones::default()
-    };
+    let mut cones = Cones::default();
     let ora = field.density.ora_um();
     for (i, (&at, &kind)) in relaxed.at.iter().zip(kinds).enumerate() {
         if !region.contains(at) || at.length() > ora || relaxed.rows[i] > CELL_ROWS {
             continue;
         }
+        cones.counts.coincident += u64::from(relaxed.coincident[i]);
         cones.counts.limited_steps += u64::from(relaxed.limited[i]);
         cones.counts.close_pairs += u64::from(cells.close[i]);
         cones.counts.voids += u64::from(cells.void[i]);
