@@ -1,5 +1,7 @@
 //! The mosaic of the domain generator: the same from any tile, thread and order; densities, types and order as in life.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
 use std::collections::BTreeMap;
 
 use glam::DVec2;
@@ -60,7 +62,7 @@ fn seams_are_exact() {
     for (at, count) in [
         (DVec2::ZERO, 4),
         (DVec2::new(-1_024.0, 1_024.0), 4),
-        (DVec2::new(2_048.0, 0.0), 2),
+        (DVec2::new(2_048.0, 512.0), 2),
     ] {
         let region = RegionUm {
             min: at - DVec2::splat(60.0),
@@ -186,10 +188,9 @@ fn density_types_and_order_meet_their_targets() {
         let retina = build_region(&p, &region).unwrap();
         let s = statistics(&retina);
         for b in &s.bands {
-            // A band of n cones out of patches of 20 or more: the count is uncertain by about 0.5·sqrt(n).
-            let allowed = 0.02_f64.max(2.0 / b.target_cones.sqrt());
+            // The innermost band has 648 cones: 2 % are 13, about two and a half standard deviations.
+            let allowed = if b.target_cones < 1_000.0 { 0.03 } else { 0.02 };
             assert!((b.density_ratio() - 1.0).abs() < allowed, "{b:?}");
-            assert!(b.cones < 600 || (b.density_ratio() - 1.0).abs() < 0.02, "{b:?}");
             // S cones are spread more evenly than at random: five standard deviations of a binomial are generous.
             let sd = b.target_s.max(1.0).sqrt();
             assert!(
@@ -202,14 +203,14 @@ fn density_types_and_order_meet_their_targets() {
                 (b.types[0] as f64 - l * lm).abs() < 4.5 * (lm * l * (1.0 - l)).sqrt(),
                 "{b:?}"
             );
-            if b.from_deg >= 1.5 && b.interior > 1_000 {
-                assert!((0.48..0.70).contains(&b.six_share), "{b:?}");
+            if b.from_deg >= 1.0 && b.interior > 1_000 {
+                assert!((0.48..0.68).contains(&b.six_share), "{b:?}");
                 assert!((0.48..0.66).contains(&b.psi6), "{b:?}");
             }
         }
         assert_eq!(s.bands[0].types[2], 0);
         let foveola = statistics_in_bands(&retina, &[0.0, 0.3]).all;
-        assert!((0.62..0.82).contains(&foveola.six_share), "{foveola:?}");
+        assert!((0.62..0.78).contains(&foveola.six_share), "{foveola:?}");
     }
 }
 
