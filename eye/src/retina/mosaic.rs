@@ -31,7 +31,7 @@ pub struct Counts {
     pub close_pairs: u64,
     /// Cells that reach the size limit.
     pub voids: u64,
-    /// Cells that are not convex.
+    /// Cells that lost a corner to be convex; they overlap a neighbour's by a sliver where apertures fill the cells.
     pub concave: u64,
     /// Relaxation steps that were cut to the limit.
     pub limited_steps: u64,

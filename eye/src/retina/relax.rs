@@ -13,7 +13,7 @@
 //! See `force`: K3 = 0.19 < 0.208, radius factor 1.05.
 //!
 //! # Cost
-//! About 1.5 µs per cone in the halo and the tile.
+//! Half of the generator's time: some 2 µs per cone born, and a tile of 12,000 cones has 37,000 born in it and its halo at the fovea.
 
 use glam::DVec2;
 
