@@ -13,8 +13,6 @@ use glam::{DMat2, DVec2, DVec3};
 const BACK_MM: f64 = 25.0;
 /// A ray is aimed when it meets the stop this close to the wanted point, mm.
 const TOLERANCE_MM: f64 = 1e-12;
-/// A ray of the pupil's interior may miss its node by this much, mm: it is an exact ray all the same.
-const NODE_TOLERANCE_MM: f64 = 1e-9;
 /// Step of the finite differences, mm.
 const STEP_MM: f64 = 1e-5;
 
@@ -140,7 +138,7 @@ impl<'a> Aimer<'a> {
         let mut uv = start;
         let mut miss = self.stop(uv)? - target;
         for _ in 0..12 {
-            if miss.length() <= NODE_TOLERANCE_MM {
+            if miss.length() <= TOLERANCE_MM {
                 return Some(uv);
             }
             let step = -(*inverse * miss);

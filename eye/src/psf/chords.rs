@@ -4,6 +4,7 @@
 //! smooth (in y they end in square roots), so x(τ) is one short Fourier series.
 
 use super::outline::Outline;
+use super::sincos::sin_cos_turns;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Chords of an outline along x.
@@ -68,7 +69,7 @@ impl Chords {
             .map(|m| {
                 let (mut c, mut s) = (0.0, 0.0);
                 for (k, x) in samples.iter().enumerate() {
-                    let (sin, cos) = (m as f64 * ((k as f64 + 0.5) * step - FRAC_PI_2)).sin_cos();
+                    let (sin, cos) = sin_cos_turns(m as f64 * ((k as f64 + 0.5) / n as f64 - 0.25));
                     c += x * cos;
                     s += x * sin;
                 }
@@ -90,7 +91,7 @@ impl Chords {
 
     /// The chord at τ. Harmonics of one parity make the middle, of the other the length.
     pub fn at(&self, tau: f64) -> Chord {
-        let (sin1, cos1) = tau.sin_cos();
+        let (sin1, cos1) = sin_cos_turns(tau / TAU);
         let (mut sin, mut cos) = (0.0, 1.0);
         let (mut middle, mut half_length) = (0.0, 0.0);
         for (m, (c, s)) in self.series.iter().enumerate() {
