@@ -67,9 +67,10 @@ fn both(settings: PaperSettings) -> (Vec<f64>, Vec<f64>, PhotonBudget, PhotonBud
 #[test]
 fn with_a_wide_window_only_chance_remains() {
     let settings = PaperSettings {
-        rays: 16384,
-        samples: 512,
-        window_um: 160.0,
+        rays: 4096,
+        samples: 256,
+        window_um: 120.0,
+        node_um: 75.0,
     };
     let (means, counts, expected, paper) = both(settings);
     // Cones with enough photons for a normal approximation.

@@ -33,8 +33,6 @@ use crate::video::Picture;
 const CHANNEL_NM: f64 = 10.0;
 /// Number of channels from 390 to 830 nm.
 const CHANNELS: usize = 45;
-/// Spacing of the nodes on the retina, µm.
-const NODE_UM: f64 = 300.0;
 /// µm of retina per unit tangent that turns that spacing into one on the screen.
 const UM_PER_TANGENT: f64 = 16_440.0;
 /// Pixels in one piece of work.
@@ -109,7 +107,7 @@ impl Paper {
                 }
             })
             .collect();
-        let step = NODE_UM / UM_PER_TANGENT;
+        let step = experiment.counts.paper.node_um / UM_PER_TANGENT;
         let corner = |px: f64, py: f64| scene.tangent(DVec2::new(px, py));
         let (width, height) = (f64::from(scene.size_px[0]), f64::from(scene.size_px[1]));
         let (from, to) = (corner(0.0, height), corner(width, 0.0));
@@ -156,7 +154,7 @@ impl Paper {
 
     /// The point spread of one node and channel.
     fn table(&self, projection: &Projection, node: usize, channel: usize, rho: f64) -> Result<Table, String> {
-        let step = NODE_UM / UM_PER_TANGENT;
+        let step = self.settings.node_um / UM_PER_TANGENT;
         let tangent =
             self.origin + DVec2::new((node % self.nodes[0]) as f64, (node / self.nodes[0]) as f64) * step;
         let nm = MIN_NM + CHANNEL_NM * channel as f64;
@@ -297,7 +295,7 @@ impl Paper {
 
     /// One photon in the pupil, seen at a point of the screen.
     fn photon(&self, seen: DVec2, channel: usize, stream: &mut Stream, tally: &mut Tally) {
-        let grid = (seen - self.origin) / (NODE_UM / UM_PER_TANGENT);
+        let grid = (seen - self.origin) / (self.settings.node_um / UM_PER_TANGENT);
         let most = DVec2::new((self.nodes[0] - 2) as f64, (self.nodes[1] - 2) as f64);
         let cell = grid.floor().clamp(DVec2::ZERO, most);
         let t = grid - cell;
