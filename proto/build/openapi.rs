@@ -3,7 +3,9 @@
 use std::collections::HashMap;
 
 use prost_types::field_descriptor_proto::{Label, Type};
-use prost_types::{DescriptorProto, EnumDescriptorProto, FieldDescriptorProto, FileDescriptorSet};
+use prost_types::{
+    DescriptorProto, EnumDescriptorProto, EnumValueDescriptorProto, FieldDescriptorProto, FileDescriptorSet,
+};
 use serde_json::{Map, Value, json};
 
 const ARROW_STREAM: &str = "application/vnd.apache.arrow.stream";
@@ -306,7 +308,7 @@ fn one_of(message: &DescriptorProto) -> Value {
 }
 
 fn enum_schema(values: &EnumDescriptorProto, text: Option<&String>) -> Value {
-    let names: Vec<&str> = values.value.iter().map(|value| value.name()).collect();
+    let names: Vec<&str> = values.value.iter().map(EnumValueDescriptorProto::name).collect();
     let mut schema = json!({"type": "string", "enum": names});
     if let Some(text) = text {
         schema["description"] = json!(text);
