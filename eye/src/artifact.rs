@@ -1,0 +1,89 @@
+//! Artifacts: what is built once and kept under the hash of its inputs.
+//!
+//! An artifact is a KIND, a VERSION and its inputs; its key is the hash of a typed canonical encoding of exactly these, and the
+//! builder sees nothing else.
+
+use serde::{Deserialize, Serialize};
+
+use crate::digest::{Digest, digest_of};
+use crate::exposure::KernelSpec;
+use crate::retina::{RegionUm, RetinaParams, TileId};
+
+/// An artifact's inputs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ArtifactSpec {
+    /// A square of the mosaic.
+    RetinaTile {
+        /// How the mosaic grows.
+        params: RetinaParams,
+        /// Which square.
+        tile: TileId,
+    },
+    /// The cones of a scene's region, put together from mosaic tiles; its bytes are `Retina::to_bytes`.
+    Cones {
+        /// Keys of the mosaic tiles, in order.
+        tiles: Vec<Digest>,
+        /// The region.
+        region: RegionUm,
+    },
+    /// The optical kernels of a scene.
+    Kernels(Box<KernelSpec>),
+}
+
+/// A built artifact.
+#[derive(Clone, Debug)]
+pub struct Built {
+    /// Its bytes.
+    pub bytes: Vec<u8>,
+    /// Cones in it, for kinds that hold cones.
+    pub cones: Option<u64>,
+    /// Cones by type, for kinds that hold cones.
+    pub cones_by_type: [u64; 3],
+    /// Counts of rare events.
+    pub diagnostics: Vec<(String, u64)>,
+}
+
+/// Why an artifact cannot be built.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum BuildError {
+    /// An input is missing or its bytes are not what the key promises.
+    #[error("artifact input {0} is missing or damaged: {1}")]
+    Input(Digest, String),
+    /// The model refuses.
+    #[error("{0}")]
+    Model(String),
+}
+
+impl ArtifactSpec {
+    /// `retina-tile`, `cones` or `kernels`.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::RetinaTile { .. } => "retina-tile",
+            Self::Cones { .. } => "cones",
+            Self::Kernels(_) => "kernels",
+        }
+    }
+
+    /// Rises whenever the same inputs give other bytes.
+    fn version(&self) -> u32 {
+        match self {
+            Self::RetinaTile { .. } | Self::Cones { .. } | Self::Kernels(_) => 1,
+        }
+    }
+
+    /// The hash of kind, version and inputs.
+    ///
+    /// # Errors
+    /// Never for validated inputs.
+    pub fn key(&self) -> Result<Digest, postcard::Error> {
+        digest_of(self.kind(), self.version(), self)
+    }
+
+    /// Keys of the artifacts it is made from.
+    pub fn inputs(&self) -> Vec<Digest> {
+        match self {
+            Self::Cones { tiles, .. } => tiles.clone(),
+            Self::RetinaTile { .. } | Self::Kernels(_) => Vec::new(),
+        }
+    }
+}

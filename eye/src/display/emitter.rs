@@ -1,0 +1,117 @@
+//! Lowering: a display becomes a list of emitters, flat data without a device.
+//!
+//! Luminance L (cd/m²) of full white is the mean over the pixel pitch, so a pixel of area A emits the flux πLA (Lambertian) or
+//! 2πLA (uniform over the half space); a flux of Φ lumens of the whole screen is shared evenly. On axis a source of flux Φ has
+//! the intensity Φ/π or Φ/2π; the pupil of area P at distance d takes P/d² of it (§6).
+
+use super::{Channel, Display, EmissionLaw, White};
+use crate::photometry::{luminous_flux_per_power, photons_per_joule};
+
+/// Distance of the entrance pupil behind the corneal apex, cm; only the solid angle of the pupil uses it.
+const ENTRANCE_PUPIL_CM: f64 = 0.304;
+
+/// Photons of one wavelength from one fully driven pixel in one frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhotonSample {
+    /// Wavelength, nm.
+    pub nm: f64,
+    /// Photons into the half space.
+    pub emitted: f64,
+}
+
+/// One primary, lowered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Emitter {
+    /// What drives it.
+    pub channel: Channel,
+    /// Photons of a fully driven pixel in a frame, by wavelength.
+    pub photons: Vec<PhotonSample>,
+    /// Rectangles in pixel units with the misregistration in them, each with its share of the light (by area).
+    pub rects: Vec<([f64; 4], f64)>,
+    /// Part of the frame during which it is lit.
+    pub lit: [f64; 2],
+}
+
+impl Emitter {
+    /// Photons of a fully driven pixel in a frame, all wavelengths.
+    pub fn emitted(&self) -> f64 {
+        self.photons.iter().map(|p| p.emitted).sum()
+    }
+}
+
+/// Share of a pixel's photons that meets the entrance pupil on axis.
+pub fn pupil_share(display: &Display, pupil_mm: f64) -> f64 {
+    let distance_cm = display.distance_cm + ENTRANCE_PUPIL_CM;
+    pupil_share_at(
+        display.emission_law,
+        std::f64::consts::FRAC_PI_4 * (pupil_mm / 10.0).powi(2),
+        distance_cm,
+    )
+}
+
+/// Share of the photons of a source that meets an area (cm²) at a distance (cm) on axis.
+pub fn pupil_share_at(law: EmissionLaw, pupil_cm2: f64, distance_cm: f64) -> f64 {
+    let solid_angle = match law {
+        EmissionLaw::Lambertian => std::f64::consts::PI,
+        EmissionLaw::Uniform => std::f64::consts::TAU,
+    };
+    pupil_cm2 / (distance_cm * distance_cm * solid_angle)
+}
+
+/// The emitters of a display.
+///
+/// # Errors
+/// When the primaries give no light that is seen (a luminance cannot be made from them).
+pub fn emitters(display: &Display) -> Result<Vec<Emitter>, String> {
+    let spectra: Vec<_> = display.primaries.iter().map(|p| p.spectrum.samples()).collect();
+    let mut lumens_of_white = 0.0;
+    for (primary, samples) in display.primaries.iter().zip(&spectra) {
+        lumens_of_white += primary.power * luminous_flux_per_power(samples)?;
+    }
+    let pixel_lumens = display.pixel_lumens();
+    if lumens_of_white <= 0.0 && pixel_lumens > 0.0 {
+        return Err("display.primaries: they emit nothing that the luminous efficiency weighs, so no luminance can be reached".into());
+    }
+    let scale = if pixel_lumens > 0.0 {
+        pixel_lumens / lumens_of_white
+    } else {
+        0.0
+    };
+    let seconds = 1.0 / display.frame_rate_hz;
+    let lower = |(primary, samples): (&super::Primary, &Vec<crate::spectrum::Sample>)| {
+        let watts = scale * primary.power;
+        let photons = samples
+            .iter()
+            .map(|s| PhotonSample {
+                nm: s.nm,
+                emitted: watts * s.power * seconds * photons_per_joule(s.nm),
+            })
+            .collect();
+        let area: f64 = primary.rects.iter().map(|r| (r[2] - r[0]) * (r[3] - r[1])).sum();
+        let [dx, dy] = primary.offset_px;
+        let rects = primary
+            .rects
+            .iter()
+            .map(|[x0, y0, x1, y1]| ([x0 + dx, y0 + dy, x1 + dx, y1 + dy], (x1 - x0) * (y1 - y0) / area))
+            .collect();
+        Emitter {
+            channel: primary.channel,
+            photons,
+            rects,
+            lit: primary.lit,
+        }
+    };
+    Ok(display.primaries.iter().zip(&spectra).map(lower).collect())
+}
+
+impl Display {
+    /// Luminous flux of one fully white pixel, lm.
+    fn pixel_lumens(&self) -> f64 {
+        let area_m2 = (self.pixel_pitch_cm / 100.0).powi(2);
+        match (self.white, self.emission_law) {
+            (White::LuminanceCdM2(l), EmissionLaw::Lambertian) => std::f64::consts::PI * l * area_m2,
+            (White::LuminanceCdM2(l), EmissionLaw::Uniform) => std::f64::consts::TAU * l * area_m2,
+            (White::Lumens(flux), _) => flux / (f64::from(self.width_px) * f64::from(self.height_px)),
+        }
+    }
+}
