@@ -65,9 +65,20 @@ mod tests {
     fn text_and_back() {
         let digest = BlobDigest::of(b"");
         let text = digest.to_string();
-        assert_eq!(text, "b3:af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262/0");
+        assert_eq!(
+            text,
+            "b3:af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262/0"
+        );
         assert_eq!(text.parse(), Ok(digest));
-        for wrong in ["", "b3:", "b3:00/1", &text.to_uppercase(), &format!("{text}0"), &text[3..], &text.replace("/0", "/+0")] {
+        for wrong in [
+            "",
+            "b3:",
+            "b3:00/1",
+            &text.to_uppercase(),
+            &format!("{text}0"),
+            &text[3..],
+            &text.replace("/0", "/+0"),
+        ] {
             assert!(wrong.parse::<BlobDigest>().is_err(), "{wrong}");
         }
     }

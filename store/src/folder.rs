@@ -15,7 +15,7 @@ use crate::{BlobDigest, BlobSink, Blobs, StoreError};
 const PIECE: usize = 256 << 10;
 
 /// Unfinished files older than this belong to nobody.
-const STALE: Duration = Duration::from_secs(3600);
+const STALE: Duration = Duration::from_hours(1);
 
 /// Blobs in a folder.
 #[derive(Clone, Debug)]
@@ -48,7 +48,10 @@ impl FolderStore {
     /// Where a blob is or would be.
     pub fn path(&self, digest: &BlobDigest) -> PathBuf {
         let hex = digest.hex();
-        self.root.join("blobs").join(&hex[..2]).join(format!("{hex}-{}", digest.size))
+        self.root
+            .join("blobs")
+            .join(&hex[..2])
+            .join(format!("{hex}-{}", digest.size))
     }
 
     fn remove_stale(&self) {
@@ -116,7 +119,8 @@ impl Blobs for FolderStore {
             return Err(self.set_aside(digest, &path));
         }
         let mut bytes = Vec::with_capacity(length as usize);
-        file.read_to_end(&mut bytes).map_err(|e| io_error("read", &path, e))?;
+        file.read_to_end(&mut bytes)
+            .map_err(|e| io_error("read", &path, e))?;
         if BlobDigest::of(&bytes) == *digest {
             Ok(bytes)
         } else {
@@ -146,7 +150,9 @@ struct Sink {
 impl Sink {
     fn new(store: &FolderStore) -> Result<Self, StoreError> {
         static COUNTER: AtomicU64 = AtomicU64::new(0);
-        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let now = SystemTime::now()
+            .duration_since(SystemTime::UNIX_EPOCH)
+            .unwrap_or_default();
         let name = format!(
             "{}-{}-{}",
             std::process::id(),
@@ -167,7 +173,9 @@ impl Sink {
 
 impl BlobSink for Sink {
     fn write(&mut self, bytes: &[u8]) -> Result<(), StoreError> {
-        self.file.write_all(bytes).map_err(|e| io_error("write", &self.path, e))?;
+        self.file
+            .write_all(bytes)
+            .map_err(|e| io_error("write", &self.path, e))?;
         self.hasher.update(bytes);
         self.size += bytes.len() as u64;
         Ok(())
@@ -182,7 +190,9 @@ impl BlobSink for Sink {
         if self.store.open(&digest).is_ok() {
             return Ok(digest);
         }
-        self.file.sync_all().map_err(|e| io_error("sync", &self.path, e))?;
+        self.file
+            .sync_all()
+            .map_err(|e| io_error("sync", &self.path, e))?;
         let target = self.store.path(&digest);
         let folder = target.parent().unwrap_or(&self.store.root);
         if !folder.is_dir() {
@@ -256,7 +266,11 @@ mod tests {
         for damaged in [&b"twelve bytez"[..], b"twelve", b"twelve bytes and more", b""] {
             for by_get in [true, false] {
                 fs::write(store.path(&digest), damaged).unwrap();
-                let error = if by_get { store.get(&digest).err() } else { store.open(&digest).err() };
+                let error = if by_get {
+                    store.get(&digest).err()
+                } else {
+                    store.open(&digest).err()
+                };
                 assert!(matches!(error, Some(StoreError::Damaged(d)) if d == digest));
                 assert!(matches!(store.get(&digest), Err(StoreError::Missing(_))));
                 store.put(b"twelve bytes").unwrap();
@@ -285,6 +299,9 @@ mod tests {
         let file = folder.path().join("file");
         fs::write(&file, b"").unwrap();
         let error = FolderStore::open(file.join("store")).unwrap_err().to_string();
-        assert!(error.contains("cannot make") && error.contains("file/store"), "{error}");
+        assert!(
+            error.contains("cannot make") && error.contains("file/store"),
+            "{error}"
+        );
     }
 }

@@ -24,14 +24,13 @@ impl Scalar {
 /// The header of an array; the values follow it, last index fastest.
 pub fn header(scalar: Scalar, shape: &[usize]) -> Vec<u8> {
     const MAGIC: &[u8] = b"\x93NUMPY\x01\x00";
-    let mut sizes: String = shape.iter().map(|n| format!("{n}, ")).collect();
-    if shape.len() != 1 {
-        sizes.truncate(sizes.len().saturating_sub(2));
-    }
+    let sizes: Vec<String> = shape.iter().map(ToString::to_string).collect();
+    // A tuple of one has a comma behind it.
+    let comma = if shape.len() == 1 { "," } else { "" };
     let mut text = format!(
-        "{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",
+        "{{'descr': '{}', 'fortran_order': False, 'shape': ({}{comma}), }}",
         scalar.name(),
-        sizes.trim_end()
+        sizes.join(", ")
     );
     // Magic, two bytes of length, text and a newline together fill whole lines of 64 bytes.
     while !(MAGIC.len() + 2 + text.len() + 1).is_multiple_of(64) {
@@ -71,7 +70,12 @@ mod tests {
 
     #[test]
     fn header_is_aligned_and_says_the_shape() {
-        for (shape, text) in [(&[2, 3][..], "(2, 3)"), (&[5][..], "(5,)"), (&[][..], "()"), (&[0, 7][..], "(0, 7)")] {
+        for (shape, text) in [
+            (&[2, 3][..], "(2, 3)"),
+            (&[5][..], "(5,)"),
+            (&[][..], "()"),
+            (&[0, 7][..], "(0, 7)"),
+        ] {
             let bytes = header(Scalar::F32, shape);
             assert_eq!(bytes.len() % 64, 0);
             let said = String::from_utf8_lossy(&bytes[10..]);

@@ -71,7 +71,8 @@ impl ConeColumns {
     /// The corners of one cone's polygon; empty when there is no such cone.
     pub fn polygon_of(&self, cone: usize) -> &[f32] {
         let ends = self.polygon_start.get(cone).zip(self.polygon_start.get(cone + 1));
-        ends.and_then(|(&a, &b)| self.polygon.get(a as usize..b as usize)).unwrap_or(&[])
+        ends.and_then(|(&a, &b)| self.polygon.get(a as usize..b as usize))
+            .unwrap_or(&[])
     }
 
     /// Adds the rows of another table below.
@@ -89,7 +90,8 @@ impl ConeColumns {
             self.polygon_start.push(0);
         }
         let base = self.polygon.len() as u32;
-        self.polygon_start.extend(other.polygon_start.iter().skip(1).map(|start| base + start));
+        self.polygon_start
+            .extend(other.polygon_start.iter().skip(1).map(|start| base + start));
         self.polygon.extend(&other.polygon);
     }
 }
@@ -145,12 +147,25 @@ pub struct Chunk {
 /// # Errors
 /// When the columns differ in length.
 pub fn cones_file(cones: &ConeColumns) -> Result<Vec<u8>, TableError> {
-    let starts = if cones.polygon_start.is_empty() { &[0][..] } else { &cones.polygon_start };
+    let starts = if cones.polygon_start.is_empty() {
+        &[0][..]
+    } else {
+        &cones.polygon_start
+    };
     let ordered = starts.is_sorted() && starts.first() == Some(&0);
-    if !ordered || starts.last().is_some_and(|&end| end as usize > cones.polygon.len() || end > i32::MAX as u32) {
+    if !ordered
+        || starts
+            .last()
+            .is_some_and(|&end| end as usize > cones.polygon.len() || end > i32::MAX as u32)
+    {
         return Err(TableError::Shape("polygon_start does not fit polygon".into()));
     }
-    let offsets = OffsetBuffer::new(ScalarBuffer::from_iter(starts.iter().map(|&start| start as i32)));
+    let offsets = OffsetBuffer::new(
+        starts
+            .iter()
+            .map(|&start| start as i32)
+            .collect::<ScalarBuffer<i32>>(),
+    );
     let corner = Arc::new(Field::new("item", DataType::Float32, false));
     let corners = Arc::new(Float32Array::from(cones.polygon.clone()));
     let f64s = |values: &[f64]| -> ArrayRef { Arc::new(Float64Array::from(values.to_vec())) };
@@ -163,10 +178,17 @@ pub fn cones_file(cones: &ConeColumns) -> Result<Vec<u8>, TableError> {
         ("ecc_deg", f64s(&cones.ecc_deg)),
         ("meridian_deg", f64s(&cones.meridian_deg)),
         ("type", Arc::new(UInt8Array::from(cones.kind.clone()))),
-        ("aperture_um2", Arc::new(Float32Array::from(cones.aperture_um2.clone()))),
-        ("polygon", Arc::new(ListArray::try_new(corner, offsets, corners, None)?)),
+        (
+            "aperture_um2",
+            Arc::new(Float32Array::from(cones.aperture_um2.clone())),
+        ),
+        (
+            "polygon",
+            Arc::new(ListArray::try_new(corner, offsets, corners, None)?),
+        ),
     ];
-    let batch = RecordBatch::try_from_iter_with_nullable(columns.into_iter().map(|(name, a)| (name, a, false)))?;
+    let batch =
+        RecordBatch::try_from_iter_with_nullable(columns.into_iter().map(|(name, a)| (name, a, false)))?;
     let mut writer = FileWriter::try_new(Vec::new(), &batch.schema())?;
     writer.write(&batch)?;
     Ok(writer.into_inner()?)
@@ -191,8 +213,13 @@ fn cones_of_batch(batch: &RecordBatch) -> Result<ConeColumns, TableError> {
         let column = column(batch, name)?.as_primitive_opt::<Float64Type>();
         Ok(column.ok_or_else(|| wrong_type(name))?.values().to_vec())
     };
-    let list = column(batch, "polygon")?.as_list_opt::<i32>().ok_or_else(|| wrong_type("polygon"))?;
-    let values = list.values().as_primitive_opt::<Float32Type>().ok_or_else(|| wrong_type("polygon"))?;
+    let list = column(batch, "polygon")?
+        .as_list_opt::<i32>()
+        .ok_or_else(|| wrong_type("polygon"))?;
+    let values = list
+        .values()
+        .as_primitive_opt::<Float32Type>()
+        .ok_or_else(|| wrong_type("polygon"))?;
     let (first, last) = (list.value_offsets()[0], list.value_offsets()[list.len()]);
     Ok(ConeColumns {
         id: column(batch, "id")?
@@ -216,7 +243,11 @@ fn cones_of_batch(batch: &RecordBatch) -> Result<ConeColumns, TableError> {
             .ok_or_else(|| wrong_type("aperture_um2"))?
             .values()
             .to_vec(),
-        polygon_start: list.value_offsets().iter().map(|&start| (start - first) as u32).collect(),
+        polygon_start: list
+            .value_offsets()
+            .iter()
+            .map(|&start| (start - first) as u32)
+            .collect(),
         polygon: values.values()[first as usize..last as usize].to_vec(),
     })
 }
@@ -257,19 +288,28 @@ pub fn read_counts(bytes: &[u8]) -> Result<Chunk, TableError> {
             DataType::Float32 => CountsVec::F32(Vec::new()),
             other => return Err(TableError::Shape(format!("column `count` is {other}"))),
         };
+        let mut batches = 0;
         for batch in reader {
+            batches += 1;
             let batch = batch?;
             let column = column(&batch, "count")?;
             match &mut counts {
                 CountsVec::U32(all) => {
-                    let values = column.as_primitive_opt::<UInt32Type>().ok_or_else(|| wrong_type("count"))?;
+                    let values = column
+                        .as_primitive_opt::<UInt32Type>()
+                        .ok_or_else(|| wrong_type("count"))?;
                     all.extend(values.values());
                 }
                 CountsVec::F32(all) => {
-                    let values = column.as_primitive_opt::<Float32Type>().ok_or_else(|| wrong_type("count"))?;
+                    let values = column
+                        .as_primitive_opt::<Float32Type>()
+                        .ok_or_else(|| wrong_type("count"))?;
                     all.extend(values.values());
                 }
             }
+        }
+        if batches != 1 {
+            return Err(TableError::Shape(format!("{batches} batches instead of one")));
         }
         Ok(Chunk {
             frame: metadata(&schema, "frame")?,
@@ -293,7 +333,11 @@ impl CountsTable {
     /// # Errors
     /// When Arrow cannot write.
     pub fn new(means: bool) -> Result<Self, TableError> {
-        let count = if means { DataType::Float32 } else { DataType::UInt32 };
+        let count = if means {
+            DataType::Float32
+        } else {
+            DataType::UInt32
+        };
         let schema = Arc::new(Schema::new(vec![
             Field::new("frame", DataType::UInt32, false),
             Field::new("tile", DataType::UInt32, false),
@@ -321,7 +365,8 @@ impl CountsTable {
             Arc::new(rows),
             counts,
         ];
-        self.writer.write(&RecordBatch::try_new(Arc::clone(&self.schema), columns)?)?;
+        self.writer
+            .write(&RecordBatch::try_new(Arc::clone(&self.schema), columns)?)?;
         Ok(std::mem::take(self.writer.get_mut()))
     }
 
@@ -358,105 +403,4 @@ fn metadata<T: std::str::FromStr>(schema: &Schema, name: &str) -> Result<T, Tabl
 /// Arrow's readers trust some of the offsets in a file; here damaged bytes are an error like any other.
 fn guarded<T>(read: impl FnOnce() -> Result<T, TableError>) -> Result<T, TableError> {
     catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(|_| Err(TableError::Shape("damaged".into())))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn cones() -> ConeColumns {
-        ConeColumns {
-            id: vec![5, u64::MAX],
-            x_um: vec![1.0, -2.5],
-            y_um: vec![0.0, 3.0],
-            x_deg: vec![0.1, 0.2],
-            y_deg: vec![0.3, 0.4],
-            ecc_deg: vec![0.5, 0.6],
-            meridian_deg: vec![0.0, 359.0],
-            kind: vec![0, 2],
-            aperture_um2: vec![4.5, 3.5],
-            polygon_start: vec![0, 6, 14],
-            polygon: (0..14).map(|i| i as f32).collect(),
-        }
-    }
-
-    #[test]
-    fn cones_come_back() {
-        let cones = cones();
-        assert_eq!(read_cones_file(&cones_file(&cones).unwrap()).unwrap(), cones);
-        assert_eq!(cones.polygon_of(0).len(), 6);
-        assert_eq!(cones.polygon_of(9).len(), 0);
-        let mut twice = cones.clone();
-        twice.append(&cones);
-        assert_eq!(twice.polygon_of(3), cones.polygon_of(1));
-        assert_eq!(read_cones_file(&cones_file(&twice).unwrap()).unwrap(), twice);
-        let none = ConeColumns::default();
-        assert_eq!(read_cones_file(&cones_file(&none).unwrap()).unwrap().len(), 0);
-        let mut uneven = cones;
-        uneven.x_um.pop();
-        assert!(cones_file(&uneven).is_err());
-    }
-
-    #[test]
-    fn counts_come_back() {
-        for counts in [Counts::U32(&[0, 1, u32::MAX]), Counts::F32(&[0.5, 1e-12]), Counts::U32(&[])] {
-            let chunk = read_counts(&counts_stream(3, 4, 1 << 40, counts).unwrap()).unwrap();
-            assert_eq!((chunk.frame, chunk.tile, chunk.first_cone), (3, 4, 1 << 40));
-            match (counts, chunk.counts) {
-                (Counts::U32(a), CountsVec::U32(b)) => assert_eq!(a, b),
-                (Counts::F32(a), CountsVec::F32(b)) => assert_eq!(a, b),
-                _ => panic!("another type came back"),
-            }
-        }
-    }
-
-    #[test]
-    fn same_counts_same_bytes() {
-        let values: Vec<u32> = (0..10_000).map(|i| i * 7919 % 800).collect();
-        let bytes = counts_stream(1, 2, 3, Counts::U32(&values)).unwrap();
-        assert!((0..10).all(|_| counts_stream(1, 2, 3, Counts::U32(&values)).unwrap() == bytes));
-    }
-
-    #[test]
-    fn many_chunks_are_one_stream() {
-        let mut table = CountsTable::new(false).unwrap();
-        let mut bytes = Vec::new();
-        for frame in 0..3 {
-            let counts = CountsVec::U32(vec![frame, 7]);
-            bytes.extend(table.push(&Chunk { frame, tile: 0, first_cone: 10, counts }).unwrap());
-        }
-        bytes.extend(table.finish().unwrap());
-        let batches: Vec<_> = StreamReader::try_new(Cursor::new(bytes), None).unwrap().collect();
-        assert_eq!(batches.len(), 3);
-        let last = batches[2].as_ref().unwrap();
-        assert_eq!(last.column_by_name("cone").unwrap().as_primitive::<UInt64Type>().values(), &[10, 11]);
-        assert_eq!(last.column_by_name("count").unwrap().as_primitive::<UInt32Type>().values(), &[2, 7]);
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
-
-        /// Whatever is damaged, reading ends with a table or an error. Lengths inside compressed buffers are left alone: a
-        /// wild one would ask for that much memory, and blobs are verified before they are parsed.
-        #[test]
-        fn damage_never_panics(at in 0.0..1.0_f64, bit in 0_u32..8, cut in 0.0..1.0_f64, truncate: bool) {
-            let mut bytes = cones_file(&cones()).unwrap();
-            if truncate {
-                bytes.truncate((cut * bytes.len() as f64) as usize);
-            } else {
-                let at = (at * bytes.len() as f64) as usize;
-                bytes[at] ^= 1 << bit;
-            }
-            let _ = read_cones_file(&bytes);
-        }
-    }
-
-    #[test]
-    fn truncated_counts_are_an_error() {
-        let bytes = counts_stream(0, 0, 0, Counts::U32(&[1, 2, 3])).unwrap();
-        for end in 0..bytes.len() - 8 {
-            assert!(read_counts(&bytes[..end]).is_err(), "{end}");
-        }
-    }
 }
