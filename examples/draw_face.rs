@@ -127,7 +127,7 @@ fn head(colour: &mut Rgb, x: f64, y: f64) {
     } else {
         1.0
     };
-    let (u, v) = ((x - 0.5) / (0.232 * jaw), (y - 0.495) / 0.318);
+    let (u, v) = ((x - 0.5) / (0.232 * jaw), (y - 0.495) / 0.317);
     let inside = u * u + v * v;
     let normal_z = (1.0 - inside.min(1.0)).sqrt();
     let key = (-0.62 * u - 0.42 * v + 0.66 * normal_z).max(0.0);
