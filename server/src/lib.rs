@@ -1,1 +1,3 @@
 //! REST and gRPC front end, job machine, SQLite.
+
+pub mod jobs;
