@@ -2,12 +2,16 @@
 
 pub mod artifact;
 pub mod catalog;
+pub mod cone;
 pub mod digest;
 pub mod display;
 pub mod experiment;
 pub mod exposure;
+pub mod media;
+pub mod movement;
 pub mod optics;
 pub mod photometry;
+pub mod picture;
 pub mod plan;
 pub mod psf;
 pub mod report;

@@ -1,5 +1,9 @@
 //! Counting (§22): from a scene's cones and kernels to counts per cone and frame.
 
+pub mod lowrank;
+pub mod polar;
+pub mod spread;
+
 use serde::{Deserialize, Serialize};
 
 use crate::experiment::Experiment;

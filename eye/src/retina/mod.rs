@@ -20,3 +20,14 @@ pub struct RegionUm {
     /// max
     pub max: DVec2,
 }
+/// stub
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[repr(u8)]
+pub enum ConeType {
+    /// L
+    L = 0,
+    /// M
+    M = 1,
+    /// S
+    S = 2,
+}

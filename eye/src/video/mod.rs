@@ -1,8 +1,10 @@
 //! Pictures: bounded decoding of PNG files and the drawn patterns.
 
 mod decode;
+mod pattern;
 
 pub use decode::{DecodeError, Limits, decode_png, png_size};
+pub use pattern::draw;
 
 /// A picture: pixel values 0 to 1, row-major from the top left, red green blue.
 #[derive(Clone, Debug, PartialEq)]

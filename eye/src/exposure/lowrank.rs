@@ -1,0 +1,136 @@
+//! Fewest kernels that span a set of similar ones.
+//!
+//! The kernel that a cone sees depends on where it is: on the field (aberrations) and on the eccentricity (macula, pigment). Over a
+//! patch these kernels K_a are nearly dependent. With the Gram matrix `G_ab = Σ w Re(K_a* K_b)` and its eigenvectors U,
+//! `K_a ≈ Σ_r U_ar B_r`, `B_r = Σ_a U_ar K_a`, and the dropped eigenvalues are the squared error: the best basis of its size.
+
+use rustfft::num_complex::Complex64;
+
+/// A basis for a set of kernels.
+#[derive(Clone, Debug)]
+pub struct Basis {
+    /// `[a][r]`: kernel a from basis kernel r.
+    pub from_basis: Vec<Vec<f64>>,
+    /// `[r][sample]`.
+    pub kernels: Vec<Vec<Complex64>>,
+    /// Root of the dropped share of the weighted squares.
+    pub error: f64,
+}
+
+/// Compresses kernels `[a][sample]` under sample weights to a relative root-mean-square error of at most `tolerance`, which
+/// makes sense down to about 1e-7 (eigenvalues are squares).
+pub fn compress(kernels: &[Vec<Complex64>], weights: &[f64], tolerance: f64) -> Basis {
+    let n = kernels.len();
+    let mut gram = vec![vec![0.0; n]; n];
+    for a in 0..n {
+        for b in a..n {
+            let dot = kernels[a]
+                .iter()
+                .zip(&kernels[b])
+                .zip(weights)
+                .map(|((x, y), w)| w * (x.re * y.re + x.im * y.im));
+            gram[a][b] = dot.sum();
+            gram[b][a] = gram[a][b];
+        }
+    }
+    let (values, vectors) = symmetric_eigen(gram);
+    let mut order: Vec<usize> = (0..n).collect();
+    order.sort_by(|&i, &j| values[j].total_cmp(&values[i]).then(i.cmp(&j)));
+    let total: f64 = values.iter().map(|v| v.max(0.0)).sum();
+    let mut dropped = total;
+    let mut rank = 0;
+    while rank < n && (rank == 0 || dropped > tolerance * tolerance * total) {
+        dropped = (dropped - values[order[rank]].max(0.0)).max(0.0);
+        rank += 1;
+    }
+    let samples = kernels.first().map_or(0, Vec::len);
+    let mut basis = vec![vec![Complex64::ZERO; samples]; rank];
+    for (kernel, &column) in basis.iter_mut().zip(&order) {
+        for (a, source) in kernels.iter().enumerate() {
+            kernel
+                .iter_mut()
+                .zip(source)
+                .for_each(|(b, k)| *b += vectors[a][column] * k);
+        }
+    }
+    let from_basis = (0..n)
+        .map(|a| order[..rank].iter().map(|&column| vectors[a][column]).collect())
+        .collect();
+    Basis {
+        from_basis,
+        kernels: basis,
+        error: if total > 0.0 {
+            (dropped / total).sqrt()
+        } else {
+            0.0
+        },
+    }
+}
+
+/// Eigenvalues and eigenvectors (columns) of a symmetric matrix by cyclic Jacobi rotations; at most 60 sweeps.
+fn symmetric_eigen(mut a: Vec<Vec<f64>>) -> (Vec<f64>, Vec<Vec<f64>>) {
+    let n = a.len();
+    let mut v: Vec<Vec<f64>> = (0..n)
+        .map(|i| (0..n).map(|j| if i == j { 1.0 } else { 0.0 }).collect())
+        .collect();
+    let scale: f64 = (0..n).map(|i| a[i][i].abs()).sum();
+    for _ in 0..60 {
+        let mut off = 0.0_f64;
+        for p in 0..n {
+            for q in p + 1..n {
+                off = off.max(a[p][q].abs());
+                if a[p][q].abs() > f64::MIN_POSITIVE {
+                    rotate(&mut a, &mut v, p, q);
+                }
+            }
+        }
+        if off <= 1e-17 * scale {
+            break;
+        }
+    }
+    ((0..n).map(|i| a[i][i]).collect(), v)
+}
+
+/// One Jacobi rotation that zeroes `a[p][q]`.
+fn rotate(a: &mut [Vec<f64>], v: &mut [Vec<f64>], p: usize, q: usize) {
+    let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+    let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
+    let c = 1.0 / t.hypot(1.0);
+    let s = t * c;
+    for row in a.iter_mut() {
+        (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
+    }
+    for k in 0..a.len() {
+        (a[p][k], a[q][k]) = (c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]);
+    }
+    for row in v.iter_mut() {
+        (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dependent_kernels_need_few() {
+        // Twelve kernels from three independent ones.
+        let source =
+            |r: usize, i: usize| Complex64::new(((i * (r + 1)) as f64 * 0.1).cos(), (r * i) as f64 * 0.01);
+        let kernels: Vec<Vec<Complex64>> = (0..12)
+            .map(|a| {
+                (0..200)
+                    .map(|i| (0..3).map(|r| source(r, i) * ((a * (r + 2)) as f64).sin()).sum())
+                    .collect()
+            })
+            .collect();
+        let basis = compress(&kernels, &[1.0; 200], 1e-6);
+        assert_eq!(basis.kernels.len(), 3);
+        for (a, kernel) in kernels.iter().enumerate() {
+            for (i, exact) in kernel.iter().enumerate() {
+                let made: Complex64 = (0..3).map(|r| basis.kernels[r][i] * basis.from_basis[a][r]).sum();
+                assert!((made - exact).norm() < 1e-5);
+            }
+        }
+    }
+}

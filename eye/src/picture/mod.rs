@@ -1,0 +1,218 @@
+//! Pictures of results: every cone's aperture filled with its count per area, as in Figures 12 to 16.
+//!
+//! The picture is upright as the viewer sees the screen. Cone types are white-balanced (each type's mean becomes the same grey)
+//! and lightly tinted: L reddish, M greenish, S bluish. Cone ids are rasterized once per view; a frame is a look-up.
+
+mod raster;
+
+use crate::experiment::RangeError;
+
+/// Outlines and types of cones in retinal coordinates.
+#[derive(Clone, Debug, Default)]
+pub struct ConeShapes {
+    /// First corner of each cone in `corners`, and the total at the end: cones + 1 values.
+    pub start: Vec<u32>,
+    /// Corners (x, y), µm of arc from the foveal centre.
+    pub corners: Vec<[f32; 2]>,
+    /// 0 L, 1 M, 2 S.
+    pub cone_type: Vec<u8>,
+    /// Light-collecting area, µm².
+    pub aperture_um2: Vec<f32>,
+    /// The visual field's right is the retina's -x (a left eye).
+    pub mirrored: bool,
+}
+
+/// A view: which cone is under each sample of the picture.
+pub struct View {
+    width: usize,
+    height: usize,
+    /// Cone + 1 under each of 2x2 samples of a pixel, 0 for none; `[2·height][2·width]`.
+    owners: Vec<u32>,
+}
+
+/// Most pixels along a side.
+pub const MAX_SIDE_PX: u32 = 8192;
+/// Share of cones that may be brighter than full white.
+const CLIPPED: f64 = 0.002;
+/// Tint by type, linear light.
+const TINT: [[f32; 3]; 3] = [[1.0, 0.86, 0.80], [0.82, 1.0, 0.84], [0.74, 0.82, 1.0]];
+
+impl View {
+    /// The whole patch, `side_px` pixels along its longer side.
+    ///
+    /// # Errors
+    /// When the side is 0 or above [`MAX_SIDE_PX`].
+    pub fn new(shapes: &ConeShapes, side_px: u32) -> Result<Self, RangeError> {
+        if side_px == 0 || side_px > MAX_SIDE_PX {
+            return Err(RangeError::new(
+                "side_px",
+                side_px,
+                &format!("1 to {MAX_SIDE_PX}"),
+            ));
+        }
+        let (mut min, mut max) = ([f32::MAX; 2], [f32::MIN; 2]);
+        for corner in &shapes.corners {
+            for axis in 0..2 {
+                min[axis] = min[axis].min(corner[axis]);
+                max[axis] = max[axis].max(corner[axis]);
+            }
+        }
+        if shapes.corners.is_empty() {
+            (min, max) = ([0.0; 2], [1.0; 2]);
+        }
+        let extent = [(max[0] - min[0]).max(1e-3), (max[1] - min[1]).max(1e-3)];
+        let per_um = side_px as f32 / extent[0].max(extent[1]);
+        let size = extent.map(|e| ((e * per_um).ceil() as usize).max(1));
+        let mut owners = vec![0; 4 * size[0] * size[1]];
+        for cone in 0..shapes.cone_type.len() {
+            let corners = &shapes.corners[shapes.start[cone] as usize..shapes.start[cone + 1] as usize];
+            // Up in the visual field is down on the retina, so +y_um runs down the picture.
+            let sample = |c: &[f32; 2]| {
+                let x = if shapes.mirrored {
+                    max[0] - c[0]
+                } else {
+                    c[0] - min[0]
+                };
+                [2.0 * x * per_um, 2.0 * (c[1] - min[1]) * per_um]
+            };
+            raster::fill(corners.iter().map(sample), 2 * size[0], 2 * size[1], |at| {
+                owners[at] = cone as u32 + 1
+            });
+        }
+        Ok(Self {
+            width: size[0],
+            height: size[1],
+            owners,
+        })
+    }
+
+    /// A PNG of one frame; `counts` by cone.
+    ///
+    /// # Errors
+    /// When the PNG encoder refuses.
+    pub fn png(&self, shapes: &ConeShapes, counts: &[f64]) -> Result<Vec<u8>, png::EncodingError> {
+        let colours = colours(shapes, counts);
+        let mut rgb = Vec::with_capacity(3 * self.width * self.height);
+        for row in 0..self.height {
+            for column in 0..self.width {
+                let mut sum = [0.0_f32; 3];
+                for (dy, dx) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                    let owner = self.owners[(2 * row + dy) * 2 * self.width + 2 * column + dx];
+                    if let Some(colour) = owner.checked_sub(1).map(|cone| colours[cone as usize]) {
+                        (0..3).for_each(|i| sum[i] += 0.25 * colour[i]);
+                    }
+                }
+                rgb.extend(sum.map(encode_srgb));
+            }
+        }
+        encode_png(self.width as u32, self.height as u32, &rgb)
+    }
+}
+
+/// Linear colours of the cones: count per area over the brightest, balanced and tinted by type.
+fn colours(shapes: &ConeShapes, counts: &[f64]) -> Vec<[f32; 3]> {
+    let mut light: Vec<f64> = counts
+        .iter()
+        .zip(&shapes.aperture_um2)
+        .map(|(n, area)| n / f64::from(*area).max(1e-9))
+        .collect();
+    let mut sums = [(0.0, 0_u32); 3];
+    for (value, kind) in light.iter().zip(&shapes.cone_type) {
+        let sum = &mut sums[usize::from(*kind).min(2)];
+        *sum = (sum.0 + value, sum.1 + 1);
+    }
+    let means = sums.map(|(sum, n)| if sum > 0.0 { sum / f64::from(n) } else { 1.0 });
+    for (value, kind) in light.iter_mut().zip(&shapes.cone_type) {
+        *value /= means[usize::from(*kind).min(2)];
+    }
+    let mut sorted = light.clone();
+    sorted.sort_by(f64::total_cmp);
+    let white = sorted
+        .get(((sorted.len() as f64) * (1.0 - CLIPPED)) as usize)
+        .or(sorted.last())
+        .copied()
+        .unwrap_or(1.0);
+    let white = if white > 0.0 { white } else { 1.0 };
+    light
+        .iter()
+        .zip(&shapes.cone_type)
+        .map(|(value, kind)| TINT[usize::from(*kind).min(2)].map(|tint| tint * (value / white) as f32))
+        .collect()
+}
+
+fn encode_srgb(light: f32) -> u8 {
+    let light = light.clamp(0.0, 1.0);
+    let value = if light <= 0.003_130_8 {
+        12.92 * light
+    } else {
+        1.055 * light.powf(1.0 / 2.4) - 0.055
+    };
+    (value * 255.0 + 0.5) as u8
+}
+
+/// An 8-bit RGB PNG.
+///
+/// # Errors
+/// When the encoder refuses.
+pub fn encode_png(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, png::EncodingError> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(png::ColorType::Rgb);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(rgb)?;
+    writer.finish()?;
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Four squares; the bright one is at +x, +y of the retina.
+    fn squares(mirrored: bool) -> ConeShapes {
+        let mut shapes = ConeShapes {
+            start: vec![0],
+            mirrored,
+            ..ConeShapes::default()
+        };
+        for (x, y) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
+            shapes
+                .corners
+                .extend([[x, y], [x + 1.0, y], [x + 1.0, y + 1.0], [x, y + 1.0]]);
+            shapes.start.push(shapes.corners.len() as u32);
+            shapes.cone_type.push(0);
+            shapes.aperture_um2.push(1.0);
+        }
+        shapes
+    }
+
+    fn brightest_corner(shapes: &ConeShapes) -> (bool, bool) {
+        let view = View::new(shapes, 8).unwrap();
+        let bytes = view.png(shapes, &[1.0, 1.0, 1.0, 9.0]).unwrap();
+        let picture = crate::video::decode_png(&bytes, crate::video::Limits::default()).unwrap();
+        assert_eq!((picture.width, picture.height), (8, 8));
+        let at = |column: usize, row: usize| picture.rgb[3 * (8 * row + column)];
+        let corners = [(1, 1), (6, 1), (1, 6), (6, 6)];
+        let best = corners
+            .into_iter()
+            .max_by(|a, b| at(a.0, a.1).total_cmp(&at(b.0, b.1)))
+            .unwrap();
+        (best.0 > 4, best.1 > 4)
+    }
+
+    #[test]
+    fn pictures_are_upright_for_both_eyes() {
+        assert_eq!(brightest_corner(&squares(false)), (true, true));
+        assert_eq!(brightest_corner(&squares(true)), (false, true));
+    }
+
+    #[test]
+    fn no_cones_give_a_black_picture() {
+        let none = ConeShapes {
+            start: vec![0],
+            ..ConeShapes::default()
+        };
+        assert!(View::new(&none, 16).unwrap().png(&none, &[]).is_ok());
+        assert!(View::new(&none, 0).is_err());
+    }
+}
