@@ -68,6 +68,8 @@ pub struct Job {
     pub shards: Vec<Shard>,
     /// Results by frame and tile.
     pub chunks: BTreeMap<(u32, u32), Chunk>,
+    /// Frame and tile of each chunk in the order of commits. Not stored: follows from the chunks.
+    pub order: Vec<(u32, u32)>,
     /// Why it failed.
     pub error: Option<String>,
     /// Digest over all chunks, when it succeeded.

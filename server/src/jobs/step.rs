@@ -449,6 +449,9 @@ impl Step<'_> {
                 self.state.nondeterministic += 1;
             }
             let seq = earlier.map_or(next, |earlier| earlier.seq);
+            if seq == next {
+                job.order.push((frame, tile));
+            }
             job.chunks.insert(
                 (frame, tile),
                 Chunk {
