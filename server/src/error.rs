@@ -129,14 +129,17 @@ impl IntoResponse for Error {
     fn into_response(self) -> Response {
         let status = self.status();
         let title = status.canonical_reason().unwrap_or_default();
-        let mut problem = json!({"type": "about:blank", "title": title, "status": status.as_u16(), "detail": self.message});
+        let mut problem =
+            json!({"type": "about:blank", "title": title, "status": status.as_u16(), "detail": self.message});
         if let Some(field) = self.field {
             problem["field"] = field.into();
         }
         let kind = [(header::CONTENT_TYPE, "application/problem+json")];
         let mut response = (status, kind, problem.to_string()).into_response();
         if status == StatusCode::TOO_MANY_REQUESTS || status == StatusCode::SERVICE_UNAVAILABLE {
-            response.headers_mut().insert(header::RETRY_AFTER, http::HeaderValue::from_static("5"));
+            response
+                .headers_mut()
+                .insert(header::RETRY_AFTER, http::HeaderValue::from_static("5"));
         }
         response
     }

@@ -8,7 +8,7 @@ use futures::Stream;
 use photoneye_eye::display::Display;
 use photoneye_eye::experiment::{Experiment, Video};
 use photoneye_eye::plan::{Plan, PlanError};
-use photoneye_eye::video::decode::{self, png_size};
+use photoneye_eye::video::{Limits as PictureLimits, png_size};
 use photoneye_proto::{FieldError, v1};
 use photoneye_store::{BlobDigest, Blobs};
 
@@ -82,7 +82,11 @@ impl Service {
     ///
     /// # Errors
     /// The first field that does not fit; a limit; the request id with another experiment.
-    pub async fn create(&self, message: &v1::Experiment, request_id: Option<String>) -> Result<(v1::Job, bool), Error> {
+    pub async fn create(
+        &self,
+        message: &v1::Experiment,
+        request_id: Option<String>,
+    ) -> Result<(v1::Job, bool), Error> {
         let (experiment, plan) = self.prepare(message).await?;
         self.check_limits(&plan).await?;
         let digest = plan.experiment.to_string();
@@ -95,8 +99,15 @@ impl Service {
                 predicted_us: micros(artifact.predicted_seconds),
             })
         });
-        let tiles = plan.tile_artifacts.iter().map(|keys| keys.iter().map(ToString::to_string).collect());
-        let built: f64 = plan.artifacts.iter().map(|artifact| artifact.predicted_seconds).sum();
+        let tiles = plan
+            .tile_artifacts
+            .iter()
+            .map(|keys| keys.iter().map(ToString::to_string).collect());
+        let built: f64 = plan
+            .artifacts
+            .iter()
+            .map(|artifact| artifact.predicted_seconds)
+            .sum();
         let job = NewJob {
             id: new_id(&digest),
             experiment_digest: digest.clone(),
@@ -105,13 +116,20 @@ impl Service {
             frames: experiment.frames,
             artifacts: artifacts.collect::<Result<_, Error>>()?,
             tiles: tiles.collect(),
-            shards: plan.shards.iter().map(|shard| (shard.first_frame, shard.frame_count, shard.tile)).collect(),
+            shards: plan
+                .shards
+                .iter()
+                .map(|shard| (shard.first_frame, shard.frame_count, shard.tile))
+                .collect(),
             shard_us: micros((plan.predicted_seconds - built) / (plan.shards.len() as f64).max(1.0)),
             request: request_id.map(|id| (id, digest)),
         };
         match self.machine.execute(Command::Create(Box::new(job))).await? {
             Reply::Created(id, new) => Ok((self.job(&id).await?, new)),
-            Reply::OtherBody => Err(Error::new(Kind::OtherBody, "this key came with another experiment before")),
+            Reply::OtherBody => Err(Error::new(
+                Kind::OtherBody,
+                "this key came with another experiment before",
+            )),
             other => Err(unexpected(&other)),
         }
     }
@@ -132,7 +150,10 @@ impl Service {
     /// # Errors
     /// When there is no such job.
     pub async fn look<T>(&self, id: &str, look: impl FnOnce(&State, &Job) -> T) -> Result<T, Error> {
-        let found = self.machine.read(|state| state.jobs.get(id).map(|job| look(state, job))).await;
+        let found = self
+            .machine
+            .read(|state| state.jobs.get(id).map(|job| look(state, job)))
+            .await;
         found.ok_or_else(|| no_job(id))
     }
 
@@ -148,7 +169,9 @@ impl Service {
         }
         let before = match page.filter(|page| !page.is_empty()) {
             None => u64::MAX,
-            Some(page) => page.parse().map_err(|_| FieldError::new("page", "is not the `next_page` of a reply"))?,
+            Some(page) => page
+                .parse()
+                .map_err(|_| FieldError::new("page", "is not the `next_page` of a reply"))?,
         };
         let view = |state: &State| {
             let mut jobs: Vec<&Job> = state.jobs.values().filter(|job| job.number < before).collect();
@@ -178,7 +201,11 @@ impl Service {
     ///
     /// # Errors
     /// When there is no such job.
-    pub async fn watch(self: Arc<Self>, id: String, after: u64) -> Result<impl Stream<Item = v1::JobEvent> + use<>, Error> {
+    pub async fn watch(
+        self: Arc<Self>,
+        id: String,
+        after: u64,
+    ) -> Result<impl Stream<Item = v1::JobEvent> + use<>, Error> {
         self.look(&id, |_, _| ()).await?;
         Ok(async_stream::stream! {
             let mut changes = self.machine.changes();
@@ -201,13 +228,16 @@ impl Service {
     }
 
     async fn view_plan(&self, plan: &Plan) -> v1::Plan {
-        self.machine.read(|state| view::plan(plan, |key| state.ready(key))).await
+        self.machine
+            .read(|state| view::plan(plan, |key| state.ready(key)))
+            .await
     }
 
     /// The one way from a message to an experiment and its plan.
     async fn prepare(&self, message: &v1::Experiment) -> Result<(Experiment, Plan), Error> {
         let experiment = spec::experiment(message)?;
-        self.check_pictures(&experiment.video, &experiment.display).await?;
+        self.check_pictures(&experiment.video, &experiment.display)
+            .await?;
         let task = tokio::task::spawn_blocking(move || {
             let plan = photoneye_eye::plan::plan(&experiment);
             (experiment, plan)
@@ -232,7 +262,9 @@ impl Service {
                 continue;
             }
             let path = format!("video.clip.blobs[{i}]");
-            let digest: BlobDigest = text.parse().map_err(|_| FieldError::new(path.clone(), "is not a digest"))?;
+            let digest: BlobDigest = text
+                .parse()
+                .map_err(|_| FieldError::new(path.clone(), "is not a digest"))?;
             let bytes = match self.with_blobs(move |blobs| blobs.get(&digest)).await {
                 Ok(bytes) => bytes,
                 Err(error) if error.kind == Kind::NotFound => {
@@ -240,10 +272,14 @@ impl Service {
                 }
                 Err(error) => return Err(error),
             };
-            let limits = decode::Limits::default();
-            let size = png_size(&bytes, limits).map_err(|error| FieldError::new(path.clone(), error.to_string()))?;
+            let limits = PictureLimits::default();
+            let size =
+                png_size(&bytes, limits).map_err(|error| FieldError::new(path.clone(), error.to_string()))?;
             if size != (width, height) {
-                let message = format!("the picture is {} x {} pixels, the display {width} x {height}", size.0, size.1);
+                let message = format!(
+                    "the picture is {} x {} pixels, the display {width} x {height}",
+                    size.0, size.1
+                );
                 return Err(FieldError::new(path, message).into());
             }
         }
@@ -253,10 +289,18 @@ impl Service {
     async fn check_limits(&self, plan: &Plan) -> Result<(), Error> {
         let active = self.machine.read(|state| state.active.len()).await;
         if active >= self.limits.active_jobs {
-            return Err(Error::new(Kind::Busy, format!("{active} jobs are waiting already")));
+            return Err(Error::new(
+                Kind::Busy,
+                format!("{active} jobs are waiting already"),
+            ));
         }
         let over = |what: &str, value: f64, limit: f64| {
-            (value > limit).then(|| Error::new(Kind::TooLarge, format!("predicted {what} {value:.3e}, allowed is {limit:.3e}")))
+            (value > limit).then(|| {
+                Error::new(
+                    Kind::TooLarge,
+                    format!("predicted {what} {value:.3e}, allowed is {limit:.3e}"),
+                )
+            })
         };
         let error = over("bytes of memory", plan.predicted_bytes, self.limits.job_bytes)
             .or_else(|| over("CPU seconds", plan.predicted_seconds, self.limits.job_seconds));
@@ -272,7 +316,10 @@ pub fn no_job(id: &str) -> Error {
 
 /// The machine gave an answer to another question.
 pub fn unexpected(reply: &Reply) -> Error {
-    Error::new(Kind::Internal, format!("unexpected answer of the job machine: {reply:?}"))
+    Error::new(
+        Kind::Internal,
+        format!("unexpected answer of the job machine: {reply:?}"),
+    )
 }
 
 fn micros(seconds: f64) -> u64 {
@@ -286,8 +333,14 @@ fn to_json<T: serde::Serialize>(value: &T) -> Result<String, Error> {
 /// A new job's name: unlike any other of this or another server.
 fn new_id(digest: &str) -> String {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
-    let now = std::time::SystemTime::now().duration_since(std::time::SystemTime::UNIX_EPOCH).unwrap_or_default();
-    let seed = (now.as_nanos(), std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed));
+    let now = std::time::SystemTime::now()
+        .duration_since(std::time::SystemTime::UNIX_EPOCH)
+        .unwrap_or_default();
+    let seed = (
+        now.as_nanos(),
+        std::process::id(),
+        COUNTER.fetch_add(1, Ordering::Relaxed),
+    );
     let hash = blake3::hash(format!("{seed:?} {digest}").as_bytes()).to_hex();
     format!("j{}", &hash[..16])
 }

@@ -28,7 +28,10 @@ impl Upload {
     pub async fn begin(service: &Service, declared: Option<u64>) -> Result<Self, Error> {
         let limit = service.limits.blob_bytes;
         if let Some(size) = declared.filter(|size| *size > limit) {
-            return Err(Error::new(Kind::TooLarge, format!("{size} bytes, allowed are {limit}")));
+            return Err(Error::new(
+                Kind::TooLarge,
+                format!("{size} bytes, allowed are {limit}"),
+            ));
         }
         Ok(Self {
             sink: service.with_blobs(|blobs| blobs.begin()).await?,

@@ -19,7 +19,10 @@ pub(super) struct Door(pub Arc<Service>);
 
 #[tonic::async_trait]
 impl Blobs for Door {
-    async fn put(&self, request: Request<Streaming<v1::PutBlobRequest>>) -> Result<Response<v1::PutBlobReply>, Status> {
+    async fn put(
+        &self,
+        request: Request<Streaming<v1::PutBlobRequest>>,
+    ) -> Result<Response<v1::PutBlobReply>, Status> {
         let mut parts = request.into_inner();
         let Some(Part::Size(size)) = parts.message().await?.and_then(|message| message.part) else {
             return Err(Error::new(Kind::Invalid, "the first message of an upload is its size").into());
@@ -42,9 +45,14 @@ impl Blobs for Door {
     type GetStream = Pin<Box<dyn Stream<Item = Result<v1::GetBlobReply, Status>> + Send>>;
 
     async fn get(&self, request: Request<v1::GetBlobRequest>) -> Result<Response<Self::GetStream>, Status> {
-        let digest: BlobDigest = request.get_ref().digest().parse().map_err(|error: photoneye_store::digest::NotADigest| {
-            Status::invalid_argument(format!("digest: {error}"))
-        })?;
+        let digest: BlobDigest =
+            request
+                .get_ref()
+                .digest()
+                .parse()
+                .map_err(|error: photoneye_store::digest::NotADigest| {
+                    Status::invalid_argument(format!("digest: {error}"))
+                })?;
         let reader: Box<dyn Read + Send> = self.0.with_blobs(move |blobs| blobs.open(&digest)).await?;
         let pieces = crate::transfer::pieces(reader).map(|piece| {
             let bytes = Some(piece.map_err(|error| Status::unavailable(error.to_string()))?);

@@ -32,7 +32,12 @@ impl Workers for Door {
         let holds = request.holds.iter().cloned().collect();
         loop {
             let wait = until.saturating_duration_since(tokio::time::Instant::now());
-            let leased = self.0.machine.lease(request.worker(), local, &holds, wait).await.map_err(Error::from)?;
+            let leased = self
+                .0
+                .machine
+                .lease(request.worker(), local, &holds, wait)
+                .await
+                .map_err(Error::from)?;
             let Some((id, fence)) = leased else {
                 return Ok(Response::new(v1::LeaseReply {
                     work: Some(Work::Nothing(Nothing {})),
@@ -52,7 +57,10 @@ impl Workers for Door {
         }
     }
 
-    async fn heartbeat(&self, request: Request<v1::HeartbeatRequest>) -> Result<Response<v1::HeartbeatReply>, Status> {
+    async fn heartbeat(
+        &self,
+        request: Request<v1::HeartbeatRequest>,
+    ) -> Result<Response<v1::HeartbeatReply>, Status> {
         let request = request.into_inner();
         let keep = self
             .held(Command::Beat {
@@ -77,7 +85,15 @@ impl Workers for Door {
                     let digest = self.stored("shard.chunks.digest", chunk.digest()).await?;
                     let frame = needed("shard.chunks.frame", chunk.frame)?;
                     let (sum, sum_squares, cones) = (chunk.sum, chunk.sum_squares, chunk.cones);
-                    chunks.push((frame, digest, Summary { sum, sum_squares, cones }));
+                    chunks.push((
+                        frame,
+                        digest,
+                        Summary {
+                            sum,
+                            sum_squares,
+                            cones,
+                        },
+                    ));
                 }
                 Commit::Shard(chunks)
             }
@@ -95,7 +111,11 @@ impl Workers for Door {
 
     async fn fail(&self, request: Request<v1::FailRequest>) -> Result<Response<v1::FailReply>, Status> {
         let request = request.into_inner();
-        tracing::warn!(work = request.id(), message = request.message(), "a computation failed");
+        tracing::warn!(
+            work = request.id(),
+            message = request.message(),
+            "a computation failed"
+        );
         let accepted = self
             .held(Command::Fail {
                 id: work_id(request.id())?,
@@ -104,7 +124,9 @@ impl Workers for Door {
                 deterministic: request.deterministic(),
             })
             .await?;
-        Ok(Response::new(v1::FailReply { accepted: Some(accepted) }))
+        Ok(Response::new(v1::FailReply {
+            accepted: Some(accepted),
+        }))
     }
 }
 
@@ -120,13 +142,19 @@ impl Door {
 
     /// A digest whose bytes are in the store: a commit without them would promise what is not there.
     async fn stored(&self, field: &str, text: &str) -> Result<BlobDigest, Status> {
-        let digest: BlobDigest = text.parse().map_err(|error: photoneye_store::digest::NotADigest| {
-            Status::invalid_argument(format!("{field}: {error}"))
-        })?;
+        let digest: BlobDigest = text
+            .parse()
+            .map_err(|error: photoneye_store::digest::NotADigest| {
+                Status::invalid_argument(format!("{field}: {error}"))
+            })?;
         if self.0.with_blobs(move |blobs| blobs.has(&digest)).await? {
             Ok(digest)
         } else {
-            Err(Error::new(Kind::NotReady, format!("{field}: no blob {digest}; upload it first")).into())
+            Err(Error::new(
+                Kind::NotReady,
+                format!("{field}: no blob {digest}; upload it first"),
+            )
+            .into())
         }
     }
 
@@ -140,14 +168,21 @@ impl Door {
             WorkId::Shard(job, number) => {
                 let tile = |state: &State| {
                     let job = state.jobs.get(job)?;
-                    job.tiles.get(job.shards.get(*number as usize)?.tile as usize).cloned()
+                    job.tiles
+                        .get(job.shards.get(*number as usize)?.tile as usize)
+                        .cloned()
                 };
                 self.0.machine.read(tile).await.unwrap_or_default()
             }
         };
         let mut references = Vec::new();
         for key in keys {
-            let find = |state: &State| state.artifacts.get(&key).map(|artifact| (artifact.kind.clone(), artifact.digest));
+            let find = |state: &State| {
+                state
+                    .artifacts
+                    .get(&key)
+                    .map(|artifact| (artifact.kind.clone(), artifact.digest))
+            };
             let (kind, digest) = self.0.machine.read(find).await.unwrap_or_default();
             let there = match digest {
                 Some(digest) => self.0.with_blobs(move |blobs| blobs.has(&digest)).await?,
@@ -155,7 +190,11 @@ impl Door {
             };
             let Some(digest) = digest.filter(|_| there) else {
                 tracing::warn!(key, kind, "an artifact is gone and will be built again");
-                self.0.machine.execute(Command::LostArtifact(key)).await.map_err(Error::from)?;
+                self.0
+                    .machine
+                    .execute(Command::LostArtifact(key))
+                    .await
+                    .map_err(Error::from)?;
                 return Ok(None);
             };
             references.push(v1::ArtifactRef {
@@ -171,8 +210,17 @@ impl Door {
     }
 
     async fn build(&self, key: &str, inputs: Vec<v1::ArtifactRef>) -> Result<Work, Status> {
-        let kind = self.0.machine.read(|state| state.artifacts.get(key).map(|artifact| artifact.kind.clone())).await;
-        let spec_json = self.0.machine.document(&format!("artifact/{key}")).await.map_err(Error::from)?;
+        let kind = self
+            .0
+            .machine
+            .read(|state| state.artifacts.get(key).map(|artifact| artifact.kind.clone()))
+            .await;
+        let spec_json = self
+            .0
+            .machine
+            .document(&format!("artifact/{key}"))
+            .await
+            .map_err(Error::from)?;
         Ok(Work::Build(v1::Build {
             key: Some(key.to_owned()),
             kind,
@@ -182,7 +230,12 @@ impl Door {
     }
 
     async fn shard(&self, id: &str, number: u32, artifacts: Vec<v1::ArtifactRef>) -> Result<Work, Status> {
-        let experiment_json = self.0.machine.document(&format!("experiment/{id}")).await.map_err(Error::from)?;
+        let experiment_json = self
+            .0
+            .machine
+            .document(&format!("experiment/{id}"))
+            .await
+            .map_err(Error::from)?;
         let work = self
             .0
             .look(id, |state, job| {
@@ -199,10 +252,13 @@ impl Door {
                 })
             })
             .await?;
-        Ok(Work::Shard(work.ok_or_else(|| Status::internal("a leased shard is gone"))?))
+        Ok(Work::Shard(
+            work.ok_or_else(|| Status::internal("a leased shard is gone"))?,
+        ))
     }
 }
 
 fn work_id(text: &str) -> Result<WorkId, Status> {
-    text.parse().map_err(|error: String| Status::invalid_argument(format!("id: {error}")))
+    text.parse()
+        .map_err(|error: String| Status::invalid_argument(format!("id: {error}")))
 }

@@ -9,7 +9,8 @@ use photoneye_eye::experiment::{Counts, Engine, Experiment, Eye, Generator, Pape
 use photoneye_eye::optics::{Dispersion, Side};
 use photoneye_proto::{FieldError, v1};
 
-use read::{choice, field_error, in_range, needed, number};
+pub use read::field_error;
+use read::{choice, in_range, needed, number};
 
 /// The eye that is taken when none is named.
 pub const DEFAULT_EYE: &str = "escudero-sanz-navarro";
