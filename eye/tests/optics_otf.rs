@@ -12,12 +12,33 @@ use std::f64::consts::{PI, TAU};
 fn eye(pupil_mm: f64) -> SchematicEye {
     let p = Prescription::preset("escudero-sanz-navarro").unwrap();
     let (decentre_mm, dispersion) = (0.4, Dispersion::Polyline);
-    SchematicEye::new(&p, &EyeState { pupil_mm, decentre_mm, accommodation_a: 0.0, dispersion, side: Side::Right })
-        .unwrap()
+    SchematicEye::new(
+        &p,
+        &EyeState {
+            pupil_mm,
+            decentre_mm,
+            accommodation_a: 0.0,
+            dispersion,
+            side: Side::Right,
+        },
+    )
+    .unwrap()
 }
 
-fn wavefront(pupil_mm: f64, field_deg: f64, vergence_d: f64, nm: f64, options: &WavefrontOptions) -> Wavefront {
-    Wavefront::new(&eye(pupil_mm), Object::field(field_deg, vergence_d).unwrap(), nm, options).unwrap()
+fn wavefront(
+    pupil_mm: f64,
+    field_deg: f64,
+    vergence_d: f64,
+    nm: f64,
+    options: &WavefrontOptions,
+) -> Wavefront {
+    Wavefront::new(
+        &eye(pupil_mm),
+        Object::field(field_deg, vergence_d).unwrap(),
+        nm,
+        options,
+    )
+    .unwrap()
 }
 
 #[test]
@@ -30,7 +51,10 @@ fn diffraction_limit() {
         let x = f64::from(k) / 100.0;
         let v = otf.value(DVec2::from_angle(1.3) * (x * cutoff));
         let wanted = 2.0 / PI * (x.acos() - x * (1.0 - x * x).sqrt());
-        assert!((v - Complex64::new(wanted, 0.0)).norm() < 2e-7, "{x}: {v} is not {wanted}");
+        assert!(
+            (v - Complex64::new(wanted, 0.0)).norm() < 2e-7,
+            "{x}: {v} is not {wanted}"
+        );
     }
     assert_eq!(otf.value(DVec2::X * (1.01 * cutoff)), Complex64::ZERO);
     assert_eq!(otf.value(DVec2::NAN), Complex64::ZERO);
@@ -45,11 +69,22 @@ fn modulation_figures_of_the_reference() {
         eye.fovea().um_from_point(chief.landing().unwrap())
     };
     let um_per_deg = (landing(5.5) - landing(4.5)).length();
-    let options = WavefrontOptions { amplitude: Amplitude::Uniform, ..WavefrontOptions::default() };
+    let options = WavefrontOptions {
+        amplitude: Amplitude::Uniform,
+        ..WavefrontOptions::default()
+    };
     let w = wavefront(3.0, 5.0, 0.0, 543.0, &options);
     let otf = Otf::new(&w);
-    for (cycles, wanted) in [(10.0, 0.838), (20.0, 0.691), (30.0, 0.565), (40.0, 0.447), (60.0, 0.227)] {
-        let v = otf.value(DVec2::from_angle(w.meridional_angle) * (cycles / um_per_deg)).norm();
+    for (cycles, wanted) in [
+        (10.0, 0.838),
+        (20.0, 0.691),
+        (30.0, 0.565),
+        (40.0, 0.447),
+        (60.0, 0.227),
+    ] {
+        let v = otf
+            .value(DVec2::from_angle(w.meridional_angle) * (cycles / um_per_deg))
+            .norm();
         println!("{cycles} c/deg: {v:.4} (reference {wanted})");
         assert!((v - wanted).abs() < 1.5e-3);
     }
@@ -58,7 +93,9 @@ fn modulation_figures_of_the_reference() {
 #[test]
 fn symmetry_and_throughput() {
     let options = WavefrontOptions {
-        stiles_crawford: Some(StilesCrawfordApodization { rho_base10_per_mm2: 0.05 }),
+        stiles_crawford: Some(StilesCrawfordApodization {
+            rho_base10_per_mm2: 0.05,
+        }),
         ..WavefrontOptions::default()
     };
     let w = wavefront(5.0, 10.0, 0.2, 480.0, &options);
@@ -66,7 +103,11 @@ fn symmetry_and_throughput() {
     assert!((otf.value(DVec2::ZERO) - Complex64::new(w.throughput(), 0.0)).norm() < 1e-15);
     // Continuous at 0, Hermitian.
     assert!((otf.value(DVec2::new(1e-9, 1e-9)).re - w.throughput()).abs() < 1e-7);
-    for nu in [DVec2::new(0.03, 0.02), DVec2::new(-0.1, 0.15), DVec2::new(0.0, 0.05)] {
+    for nu in [
+        DVec2::new(0.03, 0.02),
+        DVec2::new(-0.1, 0.15),
+        DVec2::new(0.0, 0.05),
+    ] {
         assert!((otf.value(nu) - otf.value(-nu).conj()).norm() < 1e-8, "{nu}");
         assert!(otf.value(nu).norm() <= w.throughput());
         let batch = otf.radial(nu.y.atan2(nu.x), &[nu.length(), -nu.length()]);
@@ -99,19 +140,34 @@ fn transform(w: &Wavefront, half_width_um: f64, samples: usize, nus: &[DVec2]) -
 #[test]
 fn transfer_is_the_transform_of_the_point_spread() {
     // The window's truncated tail is all that is left: it falls with the window.
-    for (pupil, field, vergence, nm) in [(3.0, 5.0, 0.0, 543.0), (3.0, 10.0, 0.0, 450.0), (4.0, 25.0, -0.5, 600.0)] {
+    for (pupil, field, vergence, nm) in [
+        (3.0, 5.0, 0.0, 543.0),
+        (3.0, 10.0, 0.0, 450.0),
+        (4.0, 25.0, -0.5, 600.0),
+    ] {
         for options in [
             WavefrontOptions::default(),
-            WavefrontOptions { amplitude: Amplitude::Uniform, ..WavefrontOptions::default() },
+            WavefrontOptions {
+                amplitude: Amplitude::Uniform,
+                ..WavefrontOptions::default()
+            },
         ] {
             let w = wavefront(pupil, field, vergence, nm, &options);
             let otf = Otf::new(&w);
-            let nus = [DVec2::new(0.05, 0.0), DVec2::new(0.0, 0.08), DVec2::new(-0.11, 0.06), DVec2::new(0.02, 0.17)];
+            let nus = [
+                DVec2::new(0.05, 0.0),
+                DVec2::new(0.0, 0.08),
+                DVec2::new(-0.11, 0.06),
+                DVec2::new(0.02, 0.17),
+            ];
             let mut last = f64::MAX;
             for (half, samples) in [(100.0, 256), (400.0, 1024)] {
                 let sums = transform(&w, half, samples, &nus);
-                let error =
-                    nus.iter().zip(&sums).map(|(nu, s)| (otf.value(*nu) - s).norm()).fold(0.0, f64::max);
+                let error = nus
+                    .iter()
+                    .zip(&sums)
+                    .map(|(nu, s)| (otf.value(*nu) - s).norm())
+                    .fold(0.0, f64::max);
                 println!("{pupil} mm {field}° {nm} nm, window ±{half}: {error:.1e}");
                 assert!(error < last);
                 last = error;
@@ -124,9 +180,13 @@ fn transfer_is_the_transform_of_the_point_spread() {
 #[test]
 fn node_rule_has_a_margin() {
     let mut worst = 0.0_f64;
-    for (pupil, field, vergence, nm) in
-        [(3.0, 5.0, 0.0, 543.0), (3.0, 5.0, 1.0, 450.0), (2.0, 0.0, 0.0, 650.0), (7.0, 10.0, 0.5, 450.0), (6.0, 40.0, 0.0, 600.0)]
-    {
+    for (pupil, field, vergence, nm) in [
+        (3.0, 5.0, 0.0, 543.0),
+        (3.0, 5.0, 1.0, 450.0),
+        (2.0, 0.0, 0.0, 650.0),
+        (7.0, 10.0, 0.5, 450.0),
+        (6.0, 40.0, 0.0, 600.0),
+    ] {
         let w = wavefront(pupil, field, vergence, nm, &WavefrontOptions::default());
         let (usual, fine) = (Otf::new(&w), Otf::new(&w).with_margin(2.0));
         for direction in [0.0, 0.6, 1.9] {
@@ -146,8 +206,14 @@ fn extremes_stay_finite() {
     for (pupil, vergence, nm) in [(0.5, 20.0, 390.0), (9.0, -20.0, 390.0), (9.0, 20.0, 830.0)] {
         let otf = Otf::new(&wavefront(pupil, 5.0, vergence, nm, &WavefrontOptions::default()));
         let cutoff = otf.cutoff(0.3);
-        for v in otf.radial(0.3, &[0.0, 1e-12, 0.01 * cutoff, 0.5 * cutoff, cutoff, 2.0 * cutoff]) {
-            assert!(v.re.is_finite() && v.im.is_finite() && v.norm() <= 1.0 + 1e-9, "{v}");
+        for v in otf.radial(
+            0.3,
+            &[0.0, 1e-12, 0.01 * cutoff, 0.5 * cutoff, cutoff, 2.0 * cutoff],
+        ) {
+            assert!(
+                v.re.is_finite() && v.im.is_finite() && v.norm() <= 1.0 + 1e-9,
+                "{v}"
+            );
         }
     }
 }

@@ -81,7 +81,13 @@ const UNIFORM: WavefrontOptions = WavefrontOptions {
 fn eye(pupil_mm: f64, decentre_mm: f64) -> SchematicEye {
     let p = Prescription::preset("escudero-sanz-navarro").unwrap();
     let dispersion = Dispersion::Polyline;
-    let state = EyeState { pupil_mm, decentre_mm, accommodation_a: 0.0, dispersion, side: Side::Right };
+    let state = EyeState {
+        pupil_mm,
+        decentre_mm,
+        accommodation_a: 0.0,
+        dispersion,
+        side: Side::Right,
+    };
     SchematicEye::new(&p, &state).unwrap()
 }
 
@@ -95,14 +101,19 @@ fn difference(a: &[f64], b: &[f64]) -> f64 {
 }
 
 fn every_second_column(a: &[f64]) -> Vec<f64> {
-    a.chunks_exact(128).flat_map(|row| row.iter().step_by(2).copied()).collect()
+    a.chunks_exact(128)
+        .flat_map(|row| row.iter().step_by(2).copied())
+        .collect()
 }
 
 #[test]
 fn four_reference_point_spreads() {
     for case in &CASES {
-        let reference: Vec<f64> =
-            case.file.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes(b.try_into().unwrap()))).collect();
+        let reference: Vec<f64> = case
+            .file
+            .chunks_exact(4)
+            .map(|b| f64::from(f32::from_le_bytes(b.try_into().unwrap())))
+            .collect();
         let peak = largest(&reference);
         let eye = eye(case.pupil_mm, case.decentre_mm);
         let object = Object::field(case.field_deg, case.vergence_d).unwrap();
@@ -114,8 +125,13 @@ fn four_reference_point_spreads() {
         let flipped: Vec<f64> = fast.chunks_exact(128).rev().flatten().copied().collect();
         let wrong = difference(&every_second_column(&flipped), &reference) / peak;
         // The reference sum, exact distance and its linear part.
-        let nodes = |exact_distance| HuygensOptions { radial: 40, azimuth: 120, exact_distance };
-        let sum = |o: &HuygensOptions| huygens::psf(&eye, object, case.wavelength_nm, &UNIFORM, o, &grid).unwrap();
+        let nodes = |exact_distance| HuygensOptions {
+            radial: 40,
+            azimuth: 120,
+            exact_distance,
+        };
+        let sum =
+            |o: &HuygensOptions| huygens::psf(&eye, object, case.wavelength_nm, &UNIFORM, o, &grid).unwrap();
         let exact = sum(&nodes(true));
         let huygens_error = difference(&every_second_column(&exact), &reference) / peak;
         let linear = difference(&sum(&nodes(false)), &fast) / peak;
@@ -124,7 +140,10 @@ fn four_reference_point_spreads() {
         println!(
             "{}° {} D {} nm: matrix {error:.1e}, Huygens {huygens_error:.1e}, matrix - linear Huygens {linear:.1e}, \
              flipped {wrong:.1e}, Strehl {strehl:.4}, energy {energy:.4}, rms {:.4}",
-            case.field_deg, case.vergence_d, case.wavelength_nm, w.rms_waves()
+            case.field_deg,
+            case.vergence_d,
+            case.wavelength_nm,
+            w.rms_waves()
         );
         assert!(error < 2e-3 && huygens_error < 2e-3);
         assert!(linear < 1e-6);
@@ -139,7 +158,13 @@ fn four_reference_point_spreads() {
 fn more_nodes_change_nothing() {
     for case in &CASES {
         let object = Object::field(case.field_deg, case.vergence_d).unwrap();
-        let w = Wavefront::new(&eye(case.pupil_mm, case.decentre_mm), object, case.wavelength_nm, &UNIFORM).unwrap();
+        let w = Wavefront::new(
+            &eye(case.pupil_mm, case.decentre_mm),
+            object,
+            case.wavelength_nm,
+            &UNIFORM,
+        )
+        .unwrap();
         let mut grid = PsfGrid::new(65, case.half_width_um);
         let usual = psf(&w, &grid);
         grid.nodes = Some(160);
@@ -153,21 +178,34 @@ fn flux_amplitude_and_apodization_agree_with_huygens() {
     let eye = eye(6.0, 0.4);
     let object = Object::field(20.0, 0.3).unwrap();
     let options = WavefrontOptions {
-        stiles_crawford: Some(StilesCrawfordApodization { rho_base10_per_mm2: 0.05 }),
+        stiles_crawford: Some(StilesCrawfordApodization {
+            rho_base10_per_mm2: 0.05,
+        }),
         ..WavefrontOptions::default()
     };
     let w = Wavefront::new(&eye, object, 590.0, &options).unwrap();
     let mut grid = PsfGrid::new(32, 20.0);
     grid.centre_um = DVec2::new(-8.0, 5.0);
-    let nodes = HuygensOptions { radial: 50, azimuth: 150, exact_distance: false };
+    let nodes = HuygensOptions {
+        radial: 50,
+        azimuth: 150,
+        exact_distance: false,
+    };
     let slow = huygens::psf(&eye, object, 590.0, &options, &nodes, &grid).unwrap();
     let error = difference(&psf(&w, &grid), &slow) / largest(&slow);
-    println!("6 mm, 20°, Stiles-Crawford: matrix - Huygens {error:.1e}, throughput {:.4}", w.throughput());
+    println!(
+        "6 mm, 20°, Stiles-Crawford: matrix - Huygens {error:.1e}, throughput {:.4}",
+        w.throughput()
+    );
     assert!(error < 1e-5);
     // Mean of 10^(−0.05 r²) over a disc of radius 3 mm, if the pupil were seen face on.
     let a = 0.05 * 10.0_f64.ln();
     let face_on = (1.0 - (-9.0 * a).exp()) / (9.0 * a);
-    assert!((w.throughput() - face_on).abs() < 0.03, "{} against {face_on}", w.throughput());
+    assert!(
+        (w.throughput() - face_on).abs() < 0.03,
+        "{} against {face_on}",
+        w.throughput()
+    );
 }
 
 #[test]
@@ -188,18 +226,34 @@ fn airy_disc() {
 /// J1 by Bessel's integral, trapezoidal (exact to rounding for v < n).
 fn bessel_j1(v: f64) -> f64 {
     let n = 200;
-    (0..n).map(|k| (f64::from(k) + 0.5) * std::f64::consts::PI / f64::from(n)).map(|t| (t - v * t.sin()).cos()).sum::<f64>()
+    (0..n)
+        .map(|k| (f64::from(k) + 0.5) * std::f64::consts::PI / f64::from(n))
+        .map(|t| (t - v * t.sin()).cos())
+        .sum::<f64>()
         / f64::from(n)
 }
 
 #[test]
 fn pupil_area_and_paths() {
-    let w = Wavefront::new(&eye(3.0, 0.4), Object::field(5.0, 0.0).unwrap(), 543.0, &WavefrontOptions::default()).unwrap();
+    let w = Wavefront::new(
+        &eye(3.0, 0.4),
+        Object::field(5.0, 0.0).unwrap(),
+        543.0,
+        &WavefrontOptions::default(),
+    )
+    .unwrap();
     let area = std::f64::consts::PI * 1.5 * 1.5;
-    assert!((w.pupil_area_mm2 / area - 1.0).abs() < 0.01, "{}", w.pupil_area_mm2);
+    assert!(
+        (w.pupil_area_mm2 / area - 1.0).abs() < 0.01,
+        "{}",
+        w.pupil_area_mm2
+    );
     assert!((w.path_cornea - 1.0).abs() < 0.03 && (w.path_lens - 1.0).abs() < 0.05);
     assert!(w.landing_um.length() < 1e-6);
-    println!("pupil {:.4} mm² of {area:.4}, paths {:.4} {:.4}", w.pupil_area_mm2, w.path_cornea, w.path_lens);
+    println!(
+        "pupil {:.4} mm² of {area:.4}, paths {:.4} {:.4}",
+        w.pupil_area_mm2, w.path_cornea, w.path_lens
+    );
 }
 
 #[test]
@@ -221,7 +275,13 @@ fn extremes_stay_finite() {
     let (mut made, mut refused) = (0, 0);
     for (pupil_mm, side) in [(0.5, Side::Left), (9.0, Side::Right)] {
         let (accommodation_a, dispersion) = (0.0, Dispersion::Herzberger);
-        let state = EyeState { pupil_mm, decentre_mm: 0.4, accommodation_a, dispersion, side };
+        let state = EyeState {
+            pupil_mm,
+            decentre_mm: 0.4,
+            accommodation_a,
+            dispersion,
+            side,
+        };
         let eye = SchematicEye::new(&p, &state).unwrap();
         for vergence in [-20.0, 0.0, 20.0] {
             for field in [-100.0, 0.0, 60.0, 90.0, 105.0] {
@@ -232,7 +292,9 @@ fn extremes_stay_finite() {
                             let mut grid = PsfGrid::new(8, 30.0);
                             grid.nodes = Some(64);
                             assert!(psf(&w, &grid).iter().all(|v| v.is_finite() && *v >= 0.0));
-                            assert!(w.strehl().is_finite() && w.rms_waves().is_finite() && w.pupil_area_mm2 > 0.0);
+                            assert!(
+                                w.strehl().is_finite() && w.rms_waves().is_finite() && w.pupil_area_mm2 > 0.0
+                            );
                         }
                         Err(OpticsError::NoRay { .. }) => refused += 1,
                         Err(e) => panic!("{e}"),

@@ -43,7 +43,11 @@ impl Emitter {
 /// Shares of the photons of each spectrum by wavelength (nm, share); the shares of one spectrum sum to 1.
 pub fn photon_shares(spectra: &[Spectrum]) -> Vec<Vec<(f64, f64)>> {
     let shares = |spectrum: &Spectrum| {
-        let photons: Vec<_> = spectrum.samples().iter().map(|s| (s.nm, s.power * photons_per_joule(s.nm))).collect();
+        let photons: Vec<_> = spectrum
+            .samples()
+            .iter()
+            .map(|s| (s.nm, s.power * photons_per_joule(s.nm)))
+            .collect();
         let total: f64 = photons.iter().map(|p| p.1).sum();
         photons.into_iter().map(|(nm, n)| (nm, n / total)).collect()
     };

@@ -55,7 +55,8 @@ impl Ledger {
             .shares()
             .iter()
             .map(|primary| {
-                let sum = |f: &dyn Fn(f64) -> f64| primary.iter().map(|(nm, share)| share * f(*nm)).sum::<f64>();
+                let sum =
+                    |f: &dyn Fn(f64) -> f64| primary.iter().map(|(nm, share)| share * f(*nm)).sum::<f64>();
                 let before = |nm: f64| media.cornea(nm, paths.cornea) * media.lens(nm, paths.lens);
                 let macula = (0..=STEPS).map(|i| {
                     let ecc_deg = MACULA_EDGE_DEG * i as f64 / STEPS as f64;
@@ -73,17 +74,28 @@ impl Ledger {
         let mut pixels = Vec::with_capacity(display.width_px as usize * display.height_px as usize);
         for row in 0..display.height_px {
             for column in 0..display.width_px {
-                let from_centre = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5) - DVec2::from_array(centre_px);
+                let from_centre =
+                    DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5) - DVec2::from_array(centre_px);
                 let tangent = DVec2::new(from_centre.x, -from_centre.y) * per_px;
                 let slant = slant_factor(display.emission_law, projection, tangent);
                 pixels.push((slant, tangent.length().atan().to_degrees()));
             }
         }
-        Ok(Self { shares, throughput: kernels.throughput(), pixels })
+        Ok(Self {
+            shares,
+            throughput: kernels.throughput(),
+            pixels,
+        })
     }
 
     /// The budget of one frame.
-    pub fn budget(&self, projector: &Projector, picture: &Picture, cones: &ConeTable, means: &Means) -> PhotonBudget {
+    pub fn budget(
+        &self,
+        projector: &Projector,
+        picture: &Picture,
+        cones: &ConeTable,
+        means: &Means,
+    ) -> PhotonBudget {
         let mut budget = PhotonBudget::default();
         let mut reached = 0.0;
         for (emitter, shares) in projector.emitters.iter().zip(&self.shares) {

@@ -7,7 +7,11 @@ use serde::{Serialize, de::DeserializeOwned};
 ///
 /// # Errors
 /// When the head cannot be written as JSON.
-pub fn encode<T: Serialize>(magic: [u8; 8], head: &T, numbers: impl Iterator<Item = f64>) -> Result<Vec<u8>, String> {
+pub fn encode<T: Serialize>(
+    magic: [u8; 8],
+    head: &T,
+    numbers: impl Iterator<Item = f64>,
+) -> Result<Vec<u8>, String> {
     let head = serde_json::to_vec(head).map_err(|e| e.to_string())?;
     let mut bytes = magic.to_vec();
     bytes.extend((head.len() as u64).to_le_bytes());

@@ -83,7 +83,9 @@ pub fn cone_columns(experiment: &Experiment, retina: &Retina) -> Result<ConeColu
         columns.x_deg.push(visual.x);
         columns.y_deg.push(visual.y);
         columns.ecc_deg.push(visual.length());
-        columns.meridian_deg.push(at.y.atan2(at.x).to_degrees().rem_euclid(360.0));
+        columns
+            .meridian_deg
+            .push(at.y.atan2(at.x).to_degrees().rem_euclid(360.0));
         for corner in retina.polygon(i) {
             columns.polygon_xy.extend([corner.x as f32, corner.y as f32]);
         }
@@ -129,7 +131,9 @@ impl ConeTable {
         }
         let (min, max) = bounds((0..retina.len()).flat_map(|i| retina.polygon(i)));
         let [node_min, node_max] = kernels.spec().field_um;
-        let fit = projection.fit(min.min(node_min), max.max(node_max)).map_err(|e| e.to_string())?;
+        let fit = projection
+            .fit(min.min(node_min), max.max(node_max))
+            .map_err(|e| e.to_string())?;
         let cones = (0..retina.len())
             .into_par_iter()
             .map(|i| {
@@ -137,7 +141,10 @@ impl ConeTable {
                 let tangent = fit.screen_tangent(um);
                 let [px, py] = retina.pointing[i];
                 MappedCone {
-                    polygon_px: retina.polygon(i).map(|c| scene.window_px(fit.screen_tangent(c))).collect(),
+                    polygon_px: retina
+                        .polygon(i)
+                        .map(|c| scene.window_px(fit.screen_tangent(c)))
+                        .collect(),
                     um,
                     ecc_deg: tangent.length().atan().to_degrees(),
                     cone_type: retina.cone_type[i],

@@ -142,28 +142,70 @@ impl KernelSpec {
             }
         }
         // Transfer of every field point at every wavelength, in that order whatever thread computes it.
-        let jobs: Vec<(usize, f64)> =
-            (0..points.len()).flat_map(|f| self.nodes_nm.iter().map(move |&nm| (f, nm))).collect();
+        let jobs: Vec<(usize, f64)> = (0..points.len())
+            .flat_map(|f| self.nodes_nm.iter().map(move |&nm| (f, nm)))
+            .collect();
         let transfers: Vec<_> = jobs
             .par_iter()
-            .map(|&(f, nm)| transfer_table(&projection, &points[f], nm, self.stiles_crawford_rho10_per_mm2, self.shape))
+            .map(|&(f, nm)| {
+                transfer_table(
+                    &projection,
+                    &points[f],
+                    nm,
+                    self.stiles_crawford_rho10_per_mm2,
+                    self.shape,
+                )
+            })
             .collect::<Result<_, String>>()?;
         let centre = transfers.len() / 2;
-        let paths = transfers.get(centre).map_or(Paths { cornea: 1.0, lens: 1.0 }, |t| t.paths);
+        let paths = transfers.get(centre).map_or(
+            Paths {
+                cornea: 1.0,
+                lens: 1.0,
+            },
+            |t| t.paths,
+        );
         let throughput = transfers.iter().map(|t| t.throughput).sum::<f64>() / transfers.len().max(1) as f64;
-        let kernels = self.kernels_by_place(&transfers.iter().map(|t| t.table.as_slice()).collect::<Vec<_>>(), paths)?;
+        let kernels = self.kernels_by_place(
+            &transfers.iter().map(|t| t.table.as_slice()).collect::<Vec<_>>(),
+            paths,
+        )?;
         let weights = self.basis_weights();
-        let bases: Vec<_> = kernels.par_iter().map(|places| compress(places, &weights, self.tolerance)).collect();
+        let bases: Vec<_> = kernels
+            .par_iter()
+            .map(|places| compress(places, &weights, self.tolerance))
+            .collect();
         let basis_error = bases.iter().map(|b| b.error).fold(0.0, f64::max);
         let samples = self.shape.len();
         let split = |kernel: &Vec<Complex64>| kernel.chunks(samples).map(<[Complex64]>::to_vec).collect();
-        let tables = bases.iter().map(|b| b.kernels.iter().map(split).collect()).collect();
-        let kinds = bases.into_iter().map(|b| KindBasis { from_basis: b.from_basis }).collect();
-        Ok(Kernels { head: Head { spec: self.clone(), kinds, basis_error, throughput, paths }, tables })
+        let tables = bases
+            .iter()
+            .map(|b| b.kernels.iter().map(split).collect())
+            .collect();
+        let kinds = bases
+            .into_iter()
+            .map(|b| KindBasis {
+                from_basis: b.from_basis,
+            })
+            .collect();
+        Ok(Kernels {
+            head: Head {
+                spec: self.clone(),
+                kinds,
+                basis_error,
+                throughput,
+                paths,
+            },
+            tables,
+        })
     }
 
     /// `[kind][place][primary·sample]`.
-    fn kernels_by_place(&self, transfers: &[&[Complex64]], paths: Paths) -> Result<Vec<Vec<Vec<Complex64>>>, String> {
+    fn kernels_by_place(
+        &self,
+        transfers: &[&[Complex64]],
+        paths: Paths,
+    ) -> Result<Vec<Vec<Vec<Complex64>>>, String> {
         let absorbers = self.absorbers()?;
         let shares = self.shares();
         let eccentricities = self.ecc_values();
@@ -189,7 +231,10 @@ impl KernelSpec {
             })
             .collect();
         let per_kind = fields * eccentricities.len();
-        Ok(flat.chunks(per_kind.max(1)).map(<[Vec<Complex64>]>::to_vec).collect())
+        Ok(flat
+            .chunks(per_kind.max(1))
+            .map(<[Vec<Complex64>]>::to_vec)
+            .collect())
     }
 
     /// Weights of the samples in the basis: area in the frequency plane times the aperture's transform squared, and the mean.
@@ -197,14 +242,18 @@ impl KernelSpec {
         let one: Vec<f64> = (0..self.shape.len())
             .map(|i| {
                 let nu = self.shape.radius * (i % self.shape.radial) as f64 / (self.shape.radial - 1) as f64;
-                let blur = (-0.5 * (std::f64::consts::TAU * nu / UM_PER_TANGENT * APERTURE_UM / 4.0).powi(2)).exp();
+                let blur =
+                    (-0.5 * (std::f64::consts::TAU * nu / UM_PER_TANGENT * APERTURE_UM / 4.0).powi(2)).exp();
                 nu * blur * blur
             })
             .collect();
         let total: f64 = one.iter().sum();
         let mean = MEAN_WEIGHT * total / self.shape.azimuthal as f64;
-        let one: Vec<f64> =
-            one.into_iter().enumerate().map(|(i, w)| if i % self.shape.radial == 0 { mean } else { w }).collect();
+        let one: Vec<f64> = one
+            .into_iter()
+            .enumerate()
+            .map(|(i, w)| if i % self.shape.radial == 0 { mean } else { w })
+            .collect();
         self.primaries.iter().flat_map(|_| one.iter().copied()).collect()
     }
 }
@@ -275,16 +324,29 @@ impl Kernels {
         let (head, numbers): (Head, Vec<f64>) = codec::decode(MAGIC, bytes)?;
         let primaries = head.spec.primaries.len();
         let samples = head.spec.shape.len();
-        let ranks: Vec<usize> = head.kinds.iter().map(|k| k.from_basis.first().map_or(0, Vec::len)).collect();
+        let ranks: Vec<usize> = head
+            .kinds
+            .iter()
+            .map(|k| k.from_basis.first().map_or(0, Vec::len))
+            .collect();
         let expected = ranks.iter().sum::<usize>().checked_mul(2 * primaries * samples);
         if head.kinds.len() != KINDS.len() || expected != Some(numbers.len()) || samples == 0 {
             return Err("its size does not fit its head".into());
         }
-        let values: Vec<Complex64> = numbers.chunks_exact(2).map(|z| Complex64::new(z[0], z[1])).collect();
+        let values: Vec<Complex64> = numbers
+            .chunks_exact(2)
+            .map(|z| Complex64::new(z[0], z[1]))
+            .collect();
         let mut parts = values.chunks_exact(samples);
         let mut next = || parts.next().map(<[Complex64]>::to_vec).unwrap_or_default();
-        let tables =
-            ranks.iter().map(|&rank| (0..rank).map(|_| (0..primaries).map(|_| next()).collect()).collect()).collect();
+        let tables = ranks
+            .iter()
+            .map(|&rank| {
+                (0..rank)
+                    .map(|_| (0..primaries).map(|_| next()).collect())
+                    .collect()
+            })
+            .collect();
         Ok(Self { head, tables })
     }
 }

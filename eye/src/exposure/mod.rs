@@ -111,33 +111,62 @@ impl Exposure {
     pub fn new(experiment: &Experiment, artifacts: &[impl AsRef<[u8]>]) -> Result<Self, ExposureError> {
         let model = |e: String| ExposureError::Model(e);
         let [cones, kernels] = artifacts else {
-            return Err(model(format!("a shard needs its cones and kernels, not {} artifacts", artifacts.len())));
+            return Err(model(format!(
+                "a shard needs its cones and kernels, not {} artifacts",
+                artifacts.len()
+            )));
         };
-        let retina =
-            Retina::from_bytes(cones.as_ref()).map_err(|e| ExposureError::Artifact("cones", e.to_string()))?;
-        let kernels = Kernels::from_bytes(kernels.as_ref()).map_err(|e| ExposureError::Artifact("kernels", e))?;
-        let Setup { prescription, projection, gaze, scene, .. } =
-            setup(experiment).map_err(|e| ExposureError::Model(e.to_string()))?;
+        let retina = Retina::from_bytes(cones.as_ref())
+            .map_err(|e| ExposureError::Artifact("cones", e.to_string()))?;
+        let kernels =
+            Kernels::from_bytes(kernels.as_ref()).map_err(|e| ExposureError::Artifact("kernels", e))?;
+        let Setup {
+            prescription,
+            projection,
+            gaze,
+            scene,
+            ..
+        } = setup(experiment).map_err(|e| ExposureError::Model(e.to_string()))?;
         let eye = &experiment.eye;
         let display = experiment.display.clone();
-        let pointing =
-            Pointing::new(eye.stiles_crawford_rho10_per_mm2, eye.pupil_mm, mm_per_radian(&projection, &prescription));
-        let cones = ConeTable::new(&retina, &projection, &scene, &kernels, display.emission_law, &pointing)
-            .map_err(model)?;
+        let pointing = Pointing::new(
+            eye.stiles_crawford_rho10_per_mm2,
+            eye.pupil_mm,
+            mm_per_radian(&projection, &prescription),
+        );
+        let cones = ConeTable::new(
+            &retina,
+            &projection,
+            &scene,
+            &kernels,
+            display.emission_law,
+            &pointing,
+        )
+        .map_err(model)?;
         let projector = Projector {
             emitters: emitters(&display).map_err(model)?,
             pupil_share: pupil_share(&display, eye.pupil_mm),
             gaze,
             display,
         };
-        let ledger = Ledger::new(&projector, &kernels, &projection, experiment.gaze.center_px).map_err(model)?;
+        let ledger =
+            Ledger::new(&projector, &kernels, &projection, experiment.gaze.center_px).map_err(model)?;
         let counter = match experiment.counts.engine {
             Engine::Expected => {
                 let width = spread_width(experiment.accuracy_target);
                 Counter::Expected(Box::new(Expected::new(scene.clone(), &kernels, &cones, width)))
             }
             Engine::Paper => Counter::Paper(Box::new(
-                Paper::new(experiment, &retina, &kernels, &projection, &projector).map_err(model)?,
+                Paper::new(
+                    experiment,
+                    &retina,
+                    &kernels,
+                    &projection,
+                    &projector,
+                    &scene,
+                    &pointing,
+                )
+                .map_err(model)?,
             )),
         };
         let pattern = match &experiment.video {
@@ -145,7 +174,16 @@ impl Exposure {
             Video::Clip(_) => None,
         };
         let ids = retina.id.clone();
-        Ok(Self { experiment: experiment.clone(), projector, scene, cones, ids, ledger, counter, pattern })
+        Ok(Self {
+            experiment: experiment.clone(),
+            projector,
+            scene,
+            cones,
+            ids,
+            ledger,
+            counter,
+            pattern,
+        })
     }
 
     /// Number of cones.
@@ -174,7 +212,12 @@ impl Exposure {
         let display = &self.projector.display;
         if (picture.width, picture.height) != (display.width_px, display.height_px) {
             let (width, height) = (display.width_px, display.height_px);
-            return Err(ExposureError::PictureSize(picture.width, picture.height, width, height));
+            return Err(ExposureError::PictureSize(
+                picture.width,
+                picture.height,
+                width,
+                height,
+            ));
         }
         match &self.counter {
             Counter::Expected(expected) => {
@@ -183,7 +226,11 @@ impl Exposure {
             }
             Counter::Paper(paper) => {
                 let (counts, fates) = paper.frame(index, picture, &self.projector);
-                Ok(Frame { counts: FrameCounts::Counts(counts), budget: fates, diagnostics: Vec::new() })
+                Ok(Frame {
+                    counts: FrameCounts::Counts(counts),
+                    budget: fates,
+                    diagnostics: Vec::new(),
+                })
             }
         }
     }
@@ -193,12 +240,24 @@ impl Exposure {
         let counts = if self.experiment.counts.poisson {
             let seed = self.experiment.counts.seed;
             let draw = |(mean, id): (&f64, &u64)| poisson::draw(seed, index, *id, *mean);
-            FrameCounts::Counts(means.isomerized.par_iter().zip(&self.ids).with_min_len(1024).map(draw).collect())
+            FrameCounts::Counts(
+                means
+                    .isomerized
+                    .par_iter()
+                    .zip(&self.ids)
+                    .with_min_len(1024)
+                    .map(draw)
+                    .collect(),
+            )
         } else {
             FrameCounts::Means(means.isomerized.iter().map(|m| *m as f32).collect())
         };
         let diagnostics = vec![("means clamped at 0".to_owned(), means.clamped)];
-        Frame { counts, budget, diagnostics }
+        Frame {
+            counts,
+            budget,
+            diagnostics,
+        }
     }
 }
 

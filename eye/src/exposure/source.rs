@@ -58,8 +58,13 @@ impl Projector {
         let mut light = Vec::with_capacity((width * height) as usize);
         for row in 0..height {
             for column in 0..width {
-                let at = 3 * ((scene.first_px[1] + row) * picture.width + scene.first_px[0] + column) as usize;
-                light.push(relative_light(&self.display, emitter.channel, &picture.rgb[at..at + 3]));
+                let at =
+                    3 * ((scene.first_px[1] + row) * picture.width + scene.first_px[0] + column) as usize;
+                light.push(relative_light(
+                    &self.display,
+                    emitter.channel,
+                    &picture.rgb[at..at + 3],
+                ));
             }
         }
         light
@@ -74,11 +79,20 @@ impl Projector {
             .map(|emitter| {
                 let photons = emitter.emitted() * self.pupil_share;
                 let sight = emitter.lit.map(|part| {
-                    let at = self.gaze.screen_tangent((f64::from(index) + part) * seconds) / scene.tangent_per_px;
+                    let at =
+                        self.gaze.screen_tangent((f64::from(index) + part) * seconds) / scene.tangent_per_px;
                     DVec2::new(at.x, -at.y)
                 });
-                let light = self.drive(emitter, picture, scene).into_iter().map(|v| v * photons).collect();
-                SourcePrimary { light, rects: emitter.rects.clone(), sight }
+                let light = self
+                    .drive(emitter, picture, scene)
+                    .into_iter()
+                    .map(|v| v * photons)
+                    .collect();
+                SourcePrimary {
+                    light,
+                    rects: emitter.rects.clone(),
+                    sight,
+                }
             })
             .collect();
         Source { primaries }
@@ -104,7 +118,11 @@ impl SourcePrimary {
 /// sin(πx)/(πx), an even function; its sign is kept by `from_polar` as a turn of π.
 fn sinc(x: f64) -> f64 {
     let y = std::f64::consts::PI * x;
-    if y.abs() < 1e-4 { 1.0 - y * y / 6.0 } else { y.sin() / y }
+    if y.abs() < 1e-4 {
+        1.0 - y * y / 6.0
+    } else {
+        y.sin() / y
+    }
 }
 
 #[cfg(test)]

@@ -38,7 +38,9 @@ pub enum OpticsError {
         field: &'static str,
     },
     /// No ray from this object reaches the wanted point of the stop and then the retina.
-    #[error("no ray from the object at {angle_deg:.3}° from the optical axis passes the stop and reaches the retina")]
+    #[error(
+        "no ray from the object at {angle_deg:.3}° from the optical axis passes the stop and reaches the retina"
+    )]
     NoRay {
         /// Angle of the object from the optical axis, degrees.
         angle_deg: f64,
@@ -61,6 +63,11 @@ pub fn in_range(field: &'static str, value: f64, min: f64, max: f64) -> Result<f
     if value >= min && value <= max {
         Ok(value)
     } else {
-        Err(OpticsError::OutOfRange { field, value, min, max })
+        Err(OpticsError::OutOfRange {
+            field,
+            value,
+            min,
+            max,
+        })
     }
 }

@@ -78,7 +78,11 @@ pub struct Traced {
 impl Traced {
     /// Where it lands on the retina, if it does and the iris lets it.
     pub fn landing(&self) -> Option<DVec3> {
-        if self.fate == RayFate::Arrived { self.hits[4] } else { None }
+        if self.fate == RayFate::Arrived {
+            self.hits[4]
+        } else {
+            None
+        }
     }
 }
 
@@ -109,7 +113,11 @@ impl SchematicEye {
             }
             // Go to the next surface.
             let surface = &self.surfaces[k];
-            let t = if k == 4 { surface.far_hit(point, traced.direction) } else { surface.hit(point, traced.direction) };
+            let t = if k == 4 {
+                surface.far_hit(point, traced.direction)
+            } else {
+                surface.hit(point, traced.direction)
+            };
             let Some(t) = t else {
                 return traced.ended(RayFate::MissedSurface(k));
             };
@@ -134,7 +142,12 @@ impl SchematicEye {
         let (mut point, mut direction) = (ray.origin, ray.direction);
         for (k, surface) in self.surfaces.iter().enumerate().take(2) {
             point += surface.hit(point, direction)? * direction;
-            direction = refract(direction, surface.normal_against(point, direction), n[k], n[k + 1])?;
+            direction = refract(
+                direction,
+                surface.normal_against(point, direction),
+                n[k],
+                n[k + 1],
+            )?;
         }
         let s = self.cross_stop(point, direction)?;
         Some(DVec2::new(s.x, s.y + self.state.decentre_mm))

@@ -36,7 +36,11 @@ impl Chords {
         let bottom = extreme(outline, s1.y.atan2(c1.y) + PI);
         let (y_top, y_bottom) = (outline.at(top)[0].y, outline.at(bottom)[0].y);
         let (middle, half) = ((y_top + y_bottom) / 2.0, (y_top - y_bottom) / 2.0);
-        let way = if outline.at(top - FRAC_PI_2)[0].x > outline.at(top + FRAC_PI_2)[0].x { 1.0 } else { -1.0 };
+        let way = if outline.at(top - FRAC_PI_2)[0].x > outline.at(top + FRAC_PI_2)[0].x {
+            1.0
+        } else {
+            -1.0
+        };
         // x at parameters τ half a step off the top and bottom, where α(τ) is solved well.
         let n = (4 * (outline.harmonics.len() + 1)).clamp(12, 128);
         let step = TAU / n as f64;
@@ -98,7 +102,12 @@ impl Chords {
             }
             (sin, cos) = (sin * cos1 + cos * sin1, cos * cos1 - sin * sin1);
         }
-        Chord { y: self.middle + self.half * sin1, slope: self.half * cos1, middle, length: 2.0 * half_length }
+        Chord {
+            y: self.middle + self.half * sin1,
+            slope: self.half * cos1,
+            middle,
+            length: 2.0 * half_length,
+        }
     }
 
     /// τ and length of the longest chord.
@@ -126,7 +135,11 @@ impl Chords {
             let h = 1e-6;
             for _ in 0..60 {
                 let excess = self.at(tau).length - length;
-                if excess > 0.0 { inside = tau } else { outside = tau }
+                if excess > 0.0 {
+                    inside = tau
+                } else {
+                    outside = tau
+                }
                 let slope = (self.at(tau + h).length - self.at(tau - h).length) / (2.0 * h);
                 let mut next = tau - excess / slope;
                 let (a, b) = (inside.min(outside), inside.max(outside));

@@ -46,7 +46,11 @@ pub fn fit<const N: usize>(
         let mut c = vec![0.0; n];
         for k in (0..n.min(m)).rev() {
             let known: f64 = (k + 1..n).map(|l| columns[l * m + k] * c[l]).sum();
-            c[k] = if diagonal[k].abs() > least { (side[k] - known) / diagonal[k] } else { 0.0 };
+            c[k] = if diagonal[k].abs() > least {
+                (side[k] - known) / diagonal[k]
+            } else {
+                0.0
+            };
         }
         Polynomial2::new(degree, c)
     })
@@ -63,7 +67,12 @@ fn reflect(v: &[f64], square: f64, other: &mut [f64]) {
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut lanes = [0.0; 4];
     let (ca, cb) = (a.chunks_exact(4), b.chunks_exact(4));
-    let tail: f64 = ca.remainder().iter().zip(cb.remainder()).map(|(x, y)| x * y).sum();
+    let tail: f64 = ca
+        .remainder()
+        .iter()
+        .zip(cb.remainder())
+        .map(|(x, y)| x * y)
+        .sum();
     for (x, y) in ca.zip(cb) {
         for l in 0..4 {
             lanes[l] += x[l] * y[l];

@@ -91,7 +91,10 @@ impl Otf {
             return Complex64::ZERO;
         }
         let direction = nu_cycles_per_um.y.atan2(nu_cycles_per_um.x);
-        self.radial(direction, &[length]).first().copied().unwrap_or(Complex64::ZERO)
+        self.radial(direction, &[length])
+            .first()
+            .copied()
+            .unwrap_or(Complex64::ZERO)
     }
 
     /// The values at frequencies `nus` (cycles/µm; a negative one lies the other way) along one direction, radians from
@@ -143,15 +146,18 @@ impl Otf {
         let across = self.nodes(0.7 * swing * (t.longest - delta).max(0.5 * t.longest), 8.0);
         prepare(&mut t.rules, along);
         prepare(&mut t.rules, across);
-        let (Some(Some(inner)), Some(Some(outer))) = (t.rules.get(along / STEP), t.rules.get(across / STEP)) else {
+        let (Some(Some(inner)), Some(Some(outer))) = (t.rules.get(along / STEP), t.rules.get(across / STEP))
+        else {
             return Complex64::ZERO;
         };
         let (low, high) = t.chords.ends(t.peak, t.longest, delta);
         let (tau_mid, tau_half) = ((low + high) / 2.0, (high - low) / 2.0);
         let mut turns = [0.0; 24];
         let mut amplitude = [0.0; 24];
-        let (turns, amplitude) =
-            (&mut turns[..=t.turns.degree().min(23)], &mut amplitude[..=t.amplitude.degree().min(23)]);
+        let (turns, amplitude) = (
+            &mut turns[..=t.turns.degree().min(23)],
+            &mut amplitude[..=t.amplitude.degree().min(23)],
+        );
         let (mut re, mut im) = (0.0, 0.0);
         for &(u, wu) in outer {
             let chord = t.chords.at(tau_mid + tau_half * u);
@@ -217,5 +223,8 @@ fn along_chord(
         }
     }
     debug_assert!(horner(amplitude, middle).is_finite());
-    ((re[0] + re[2]) + (re[1] + re[3]), (im[0] + im[2]) + (im[1] + im[3]))
+    (
+        (re[0] + re[2]) + (re[1] + re[3]),
+        (im[0] + im[2]) + (im[1] + im[3]),
+    )
 }
