@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::digest::{Digest, digest_of};
 use crate::exposure::KernelSpec;
-use crate::retina::{RegionUm, RetinaParams, TileId};
+use crate::retina::{ConeType, Counts, RegionUm, Retina, RetinaParams, RetinaTile, TileId, build_tile};
 
 /// An artifact's inputs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,6 +42,9 @@ pub struct Built {
     /// Counts of rare events.
     pub diagnostics: Vec<(String, u64)>,
 }
+
+/// Bytes of an input with its key.
+pub type Input<'a> = (Digest, &'a [u8]);
 
 /// Why an artifact cannot be built.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -86,4 +89,77 @@ impl ArtifactSpec {
             Self::RetinaTile { .. } | Self::Kernels(_) => Vec::new(),
         }
     }
+
+    /// Builds the artifact from its inputs, which are given in the order of [`ArtifactSpec::inputs`].
+    ///
+    /// # Errors
+    /// [`BuildError::Input`] for an input that is missing or damaged, [`BuildError::Model`] when the model refuses.
+    pub fn build(&self, inputs: &[Input]) -> Result<Built, BuildError> {
+        match self {
+            Self::RetinaTile { params, tile } => {
+                let tile = build_tile(params, *tile).map_err(|e| BuildError::Model(e.to_string()))?;
+                Ok(Built {
+                    bytes: tile.to_bytes(),
+                    cones: Some(tile.len() as u64),
+                    cones_by_type: by_type(&tile.cone_type),
+                    diagnostics: events(tile.counts),
+                })
+            }
+            Self::Cones { tiles, region } => {
+                let tiles = read_tiles(tiles, inputs)?;
+                let retina = Retina::assemble(&tiles, region);
+                Ok(Built {
+                    bytes: retina.to_bytes(),
+                    cones: Some(retina.len() as u64),
+                    cones_by_type: by_type(&retina.cone_type),
+                    diagnostics: Vec::new(),
+                })
+            }
+            Self::Kernels(spec) => {
+                let bytes = spec
+                    .build()
+                    .and_then(|k| k.to_bytes())
+                    .map_err(BuildError::Model)?;
+                Ok(Built {
+                    bytes,
+                    cones: None,
+                    cones_by_type: [0; 3],
+                    diagnostics: Vec::new(),
+                })
+            }
+        }
+    }
+}
+
+fn read_tiles(keys: &[Digest], inputs: &[Input]) -> Result<Vec<RetinaTile>, BuildError> {
+    keys.iter()
+        .map(|key| {
+            let (_, bytes) = inputs
+                .iter()
+                .find(|(k, _)| k == key)
+                .ok_or_else(|| BuildError::Input(*key, "it was not given".into()))?;
+            RetinaTile::from_bytes(bytes).map_err(|e| BuildError::Input(*key, e.to_string()))
+        })
+        .collect()
+}
+
+fn by_type(types: &[ConeType]) -> [u64; 3] {
+    let mut counts = [0; 3];
+    types.iter().for_each(|t| counts[*t as usize] += 1);
+    counts
+}
+
+fn events(counts: Counts) -> Vec<(String, u64)> {
+    let names = [
+        "coincident cones parted",
+        "close pairs",
+        "voids",
+        "concave cells",
+        "limited steps",
+    ];
+    names
+        .iter()
+        .map(|n| (*n).to_owned())
+        .zip(counts.to_array())
+        .collect()
 }

@@ -6,6 +6,7 @@
 
 use super::{Channel, Display, EmissionLaw, White};
 use crate::photometry::{luminous_flux_per_power, photons_per_joule};
+use crate::spectrum::Spectrum;
 
 /// Distance of the entrance pupil behind the corneal apex, cm; only the solid angle of the pupil uses it.
 const ENTRANCE_PUPIL_CM: f64 = 0.304;
@@ -37,6 +38,20 @@ impl Emitter {
     pub fn emitted(&self) -> f64 {
         self.photons.iter().map(|p| p.emitted).sum()
     }
+}
+
+/// Shares of the photons of each spectrum by wavelength (nm, share); the shares of one spectrum sum to 1.
+pub fn photon_shares(spectra: &[Spectrum]) -> Vec<Vec<(f64, f64)>> {
+    let shares = |spectrum: &Spectrum| {
+        let photons: Vec<_> = spectrum
+            .samples()
+            .iter()
+            .map(|s| (s.nm, s.power * photons_per_joule(s.nm)))
+            .collect();
+        let total: f64 = photons.iter().map(|p| p.1).sum();
+        photons.into_iter().map(|(nm, n)| (nm, n / total)).collect()
+    };
+    spectra.iter().map(shares).collect()
 }
 
 /// Share of a pixel's photons that meets the entrance pupil on axis.

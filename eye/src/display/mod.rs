@@ -7,7 +7,7 @@ mod emitter;
 
 use serde::{Deserialize, Serialize};
 
-pub use emitter::{Emitter, PhotonSample, emitters, pupil_share, pupil_share_at};
+pub use emitter::{Emitter, PhotonSample, emitters, photon_shares, pupil_share, pupil_share_at};
 
 use crate::experiment::{RangeError, check_range};
 use crate::spectrum::Spectrum;

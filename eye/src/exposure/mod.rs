@@ -1,18 +1,44 @@
 //! Counting (§22): from a scene's cones and kernels to counts per cone and frame.
+//!
+//! `expected` computes the exact mean of every cone and draws a Poisson number; `paper` follows every photon as §22 is written and
+//! is the slow reference.
 
-pub mod lowrank;
-pub mod polar;
-pub mod spread;
+mod budget;
+mod codec;
+mod cones;
+mod expected;
+mod grid;
+mod kernel;
+mod lowrank;
+mod nodes;
+mod paper;
+mod poisson;
+mod polar;
+pub mod scene;
+mod source;
+pub mod spectral;
+mod spread;
+mod transfer;
 
-use serde::{Deserialize, Serialize};
+use glam::DVec2;
+use rayon::prelude::*;
 
-use crate::experiment::Experiment;
+pub use cones::{ConeColumns, cone_columns};
+pub use kernel::{KernelSpec, Kernels};
+pub use polar::PolarShape;
+
+use crate::cone::directional::Pointing;
+use crate::display::{emitters, pupil_share};
+use crate::experiment::{Engine, Experiment, Video};
+use crate::plan::setup::{Setup, setup};
 use crate::report::PhotonBudget;
-use crate::video::Picture;
-
-/// Inputs of the optical kernels.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct KernelSpec {}
+use crate::retina::Retina;
+use crate::video::{Picture, draw};
+use budget::Ledger;
+use cones::ConeTable;
+use expected::{Expected, Means};
+use paper::Paper;
+use source::Projector;
 
 /// Counts of one frame, in the order of the cones.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,26 +69,206 @@ pub enum ExposureError {
     /// The model refuses.
     #[error("{0}")]
     Model(String),
+    /// A picture does not fit the display.
+    #[error("video: the picture is {0}x{1} pixels, the display {2}x{3}")]
+    PictureSize(u32, u32, u32, u32),
+}
+
+enum Counter {
+    Expected(Box<Expected>),
+    Paper(Box<Paper>),
 }
 
 /// A scene that is ready to be counted, frame by frame.
-pub struct Exposure {}
+pub struct Exposure {
+    experiment: Experiment,
+    projector: Projector,
+    scene: scene::Scene,
+    cones: ConeTable,
+    ids: Vec<u64>,
+    ledger: Ledger,
+    counter: Counter,
+    pattern: Option<Picture>,
+}
+
+/// Width of the spreading kernel, samples, for an accuracy target.
+fn spread_width(target: f64) -> usize {
+    if target >= 0.005 {
+        6
+    } else if target >= 5e-4 {
+        8
+    } else {
+        10
+    }
+}
 
 impl Exposure {
-    /// Prepares a scene: `cones` and `kernels` are the bytes of the two artifacts of a result tile, in the order of
+    /// Prepares a scene: `artifacts` are the bytes of the cones and of the kernels of a result tile, in the order of
     /// `Plan::tile_artifacts`.
     ///
     /// # Errors
     /// When an artifact's bytes are damaged or do not belong to the experiment.
-    pub fn new(_experiment: &Experiment, _artifacts: &[impl AsRef<[u8]>]) -> Result<Self, ExposureError> {
-        Err(ExposureError::Model("counting is being written".into()))
+    pub fn new(experiment: &Experiment, artifacts: &[impl AsRef<[u8]>]) -> Result<Self, ExposureError> {
+        let model = |e: String| ExposureError::Model(e);
+        let [cones, kernels] = artifacts else {
+            return Err(model(format!(
+                "a shard needs its cones and kernels, not {} artifacts",
+                artifacts.len()
+            )));
+        };
+        let retina = Retina::from_bytes(cones.as_ref())
+            .map_err(|e| ExposureError::Artifact("cones", e.to_string()))?;
+        let kernels =
+            Kernels::from_bytes(kernels.as_ref()).map_err(|e| ExposureError::Artifact("kernels", e))?;
+        let Setup {
+            prescription,
+            projection,
+            gaze,
+            scene,
+            ..
+        } = setup(experiment).map_err(|e| ExposureError::Model(e.to_string()))?;
+        let eye = &experiment.eye;
+        let display = experiment.display.clone();
+        let pointing = Pointing::new(
+            eye.stiles_crawford_rho10_per_mm2,
+            eye.pupil_mm,
+            mm_per_radian(&projection, &prescription),
+        );
+        let cones = ConeTable::new(
+            &retina,
+            &projection,
+            &scene,
+            &kernels,
+            display.emission_law,
+            &pointing,
+        )
+        .map_err(model)?;
+        let projector = Projector {
+            emitters: emitters(&display).map_err(model)?,
+            pupil_share: pupil_share(&display, eye.pupil_mm),
+            gaze,
+            display,
+        };
+        let ledger =
+            Ledger::new(&projector, &kernels, &projection, experiment.gaze.center_px).map_err(model)?;
+        let counter = match experiment.counts.engine {
+            Engine::Expected => {
+                let width = spread_width(experiment.accuracy_target);
+                Counter::Expected(Box::new(Expected::new(scene.clone(), &kernels, &cones, width)))
+            }
+            Engine::Paper => Counter::Paper(Box::new(
+                Paper::new(
+                    experiment,
+                    &retina,
+                    &kernels,
+                    &projection,
+                    &projector,
+                    &scene,
+                    &pointing,
+                )
+                .map_err(model)?,
+            )),
+        };
+        let pattern = match &experiment.video {
+            Video::Pattern(pattern) => Some(draw(pattern, &projector.display, &experiment.gaze)),
+            Video::Clip(_) => None,
+        };
+        let ids = retina.id.clone();
+        Ok(Self {
+            experiment: experiment.clone(),
+            projector,
+            scene,
+            cones,
+            ids,
+            ledger,
+            counter,
+            pattern,
+        })
     }
 
-    /// Computes frame `index`. `picture` is the frame's picture; `None` for a drawn pattern.
+    /// Number of cones.
+    pub fn len(&self) -> usize {
+        self.ids.len()
+    }
+
+    /// Whether the patch has no cones.
+    pub fn is_empty(&self) -> bool {
+        self.ids.is_empty()
+    }
+
+    /// Type of each cone: 0 L, 1 M, 2 S.
+    pub fn cone_types(&self) -> Vec<u8> {
+        self.cones.cones.iter().map(|c| c.cone_type as u8).collect()
+    }
+
+    /// Computes frame `index`. `picture` is the frame's picture; a drawn pattern needs none.
     ///
     /// # Errors
-    /// When the picture does not have the display's size.
-    pub fn frame(&self, _index: u32, _picture: Option<&Picture>) -> Result<Frame, ExposureError> {
-        Err(ExposureError::Model("counting is being written".into()))
+    /// When the picture is missing or does not have the display's size.
+    pub fn frame(&self, index: u32, picture: Option<&Picture>) -> Result<Frame, ExposureError> {
+        let picture = picture
+            .or(self.pattern.as_ref())
+            .ok_or_else(|| ExposureError::Model(format!("video: frame {index} has no picture")))?;
+        let display = &self.projector.display;
+        if (picture.width, picture.height) != (display.width_px, display.height_px) {
+            let (width, height) = (display.width_px, display.height_px);
+            return Err(ExposureError::PictureSize(
+                picture.width,
+                picture.height,
+                width,
+                height,
+            ));
+        }
+        match &self.counter {
+            Counter::Expected(expected) => {
+                let means = expected.frame(&self.projector.frame(index, picture, &self.scene));
+                Ok(self.expected_frame(index, picture, &means))
+            }
+            Counter::Paper(paper) => {
+                let (counts, fates) = paper.frame(index, picture, &self.projector);
+                Ok(Frame {
+                    counts: FrameCounts::Counts(counts),
+                    budget: fates,
+                    diagnostics: Vec::new(),
+                })
+            }
+        }
     }
+
+    fn expected_frame(&self, index: u32, picture: &Picture, means: &Means) -> Frame {
+        let budget = self.ledger.budget(&self.projector, picture, &self.cones, means);
+        let counts = if self.experiment.counts.poisson {
+            let seed = self.experiment.counts.seed;
+            let draw = |(mean, id): (&f64, &u64)| poisson::draw(seed, index, *id, *mean);
+            FrameCounts::Counts(
+                means
+                    .isomerized
+                    .par_iter()
+                    .zip(&self.ids)
+                    .with_min_len(1024)
+                    .map(draw)
+                    .collect(),
+            )
+        } else {
+            FrameCounts::Means(means.isomerized.iter().map(|m| *m as f32).collect())
+        };
+        let diagnostics = vec![("means clamped at 0".to_owned(), means.clamped)];
+        Frame {
+            counts,
+            budget,
+            diagnostics,
+        }
+    }
+}
+
+/// Distance in the entrance pupil per angle at the cone, mm/rad: the posterior focal length n'/P, paraxially.
+fn mm_per_radian(projection: &crate::optics::Projection, prescription: &crate::optics::Prescription) -> f64 {
+    let nm = prescription.reference_wavelength_nm;
+    let eye = projection.eye();
+    1e3 * eye.indices(nm)[4] / eye.cardinal(nm).power_d
+}
+
+/// The smallest rectangle around points.
+fn bounds(points: impl Iterator<Item = DVec2>) -> (DVec2, DVec2) {
+    points.fold((DVec2::MAX, DVec2::MIN), |(min, max), p| (min.min(p), max.max(p)))
 }

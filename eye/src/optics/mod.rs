@@ -1,18 +1,32 @@
-//! To be written.
-use serde::{Deserialize, Serialize};
-/// Dispersion law.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Dispersion {
-    /// Herzberger.
-    Herzberger,
-    /// Polyline.
-    Polyline,
-}
-/// Side of the head.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Side {
-    /// Right.
-    Right,
-    /// Left.
-    Left,
-}
+//! The eye's optics (§8, §9, §12, §16): prescription, surfaces, rays, chief rays, screen ↔ retina.
+//!
+//! Frame: mm, origin at the corneal apex, +z into the eye, right-handed. The image of the fovea lies at +y (the
+//! temporal retina); a plane wave from field angle th travels along (0, sin th, cos th). The stop centre is at
+//! y = −decentre. In a right eye +y is the subject's right and −x is up; in a left eye −y is right and +x is up.
+//!
+//! Wavelengths are vacuum wavelengths in nm. A ray ends in a [`RayFate`], never in a NaN.
+
+pub mod accommodation;
+pub mod aim;
+pub mod bundle;
+pub mod cardinal;
+pub mod error;
+pub mod object;
+pub mod prescription;
+pub mod projection;
+pub mod projection_fit;
+pub mod retina_frame;
+pub mod schematic_eye;
+pub mod surface;
+pub mod trace;
+
+pub use bundle::{PupilBundle, PupilNodes, PupilRay};
+pub use cardinal::Cardinal;
+pub use error::OpticsError;
+pub use object::Object;
+pub use prescription::{Dispersion, Prescription, Side};
+pub use projection::Projection;
+pub use projection_fit::ProjectionFit;
+pub use retina_frame::Fovea;
+pub use schematic_eye::{EyeState, SchematicEye};
+pub use trace::{Ray, RayFate, Traced};

@@ -1,11 +1,24 @@
 //! The plan: what a scene needs, what is left out and why, and what it costs, before anything is computed.
 
+mod cost;
+mod error;
+mod omissions;
+pub mod setup;
+mod wavelengths;
+
+use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use crate::artifact::ArtifactSpec;
+use crate::cone::pigment::Pigments;
 use crate::digest::Digest;
-use crate::experiment::Experiment;
-use crate::retina::RegionUm;
+use crate::display::emitters;
+use crate::experiment::{Engine, Experiment};
+use crate::exposure::spectral::Absorbers;
+use crate::exposure::{KernelSpec, PolarShape};
+use crate::media::Media;
+use crate::retina::{RegionUm, tiles_for};
+use setup::Setup;
 
 /// What will be computed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -97,11 +110,154 @@ pub enum PlanError {
     Model(String),
 }
 
+/// Share of a cone type's catch that may lie beyond the wavelengths computed, per accuracy target.
+const WAVELENGTH_TAIL: f64 = 0.01;
+/// Error of the low-rank basis, per accuracy target.
+const BASIS_SHARE: f64 = 0.1;
+/// Frames in one shard.
+const SHARD_FRAMES: u32 = 16;
+
 /// Plans an experiment. Runs in milliseconds; builds nothing.
 ///
 /// # Errors
 /// A field that is out of range or cannot be served, with its name, value and what is possible.
 pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
     experiment.validate()?;
-    Err(PlanError::Model("planning is being written".into()))
+    let setup = setup::setup(experiment)?;
+    let emitters = emitters(&experiment.display).map_err(PlanError::Model)?;
+    let absorbers = Absorbers {
+        media: Media::new(
+            experiment.eye.lens_density_scale,
+            experiment.eye.macular_peak_density,
+        )
+        .map_err(PlanError::Model)?,
+        pigments: Pigments::new().map_err(PlanError::Model)?,
+    };
+    let tail = WAVELENGTH_TAIL * experiment.accuracy_target;
+    let wavelengths = wavelengths::choose(experiment, &emitters, &absorbers, tail);
+    let kernels = kernel_spec(experiment, &setup, wavelengths.nodes_nm.clone());
+    let cost = cost::predict(experiment, &setup, &kernels);
+    let key = |spec: &ArtifactSpec| spec.key().map_err(|e| PlanError::Model(e.to_string()));
+
+    // The mosaic's tiles, the cones put together from them, the kernels.
+    let mut artifacts = Vec::new();
+    let tiles = tiles_for(&setup.region);
+    for tile in &tiles {
+        let spec = ArtifactSpec::RetinaTile {
+            params: setup.retina.clone(),
+            tile: *tile,
+        };
+        let seconds = cost.tiles_seconds / tiles.len() as f64;
+        let bytes = cost.tiles_bytes / tiles.len() as f64;
+        artifacts.push(PlannedArtifact {
+            key: key(&spec)?,
+            inputs: Vec::new(),
+            spec,
+            predicted_seconds: seconds,
+            predicted_bytes: bytes,
+        });
+    }
+    let inputs: Vec<Digest> = artifacts.iter().map(|a| a.key).collect();
+    let cones = ArtifactSpec::Cones {
+        tiles: inputs.clone(),
+        region: setup.region,
+    };
+    let kernels_spec = ArtifactSpec::Kernels(Box::new(kernels));
+    let tile_artifacts = vec![vec![key(&cones)?, key(&kernels_spec)?]];
+    for (spec, inputs, seconds, bytes) in [
+        (cones, inputs, 0.02 * cost.tiles_seconds, cost.cones_bytes),
+        (kernels_spec, Vec::new(), cost.kernel_seconds, cost.kernel_bytes),
+    ] {
+        artifacts.push(PlannedArtifact {
+            key: key(&spec)?,
+            spec,
+            inputs,
+            predicted_seconds: seconds,
+            predicted_bytes: bytes,
+        });
+    }
+    let shards = (0..experiment.frames)
+        .step_by(SHARD_FRAMES as usize)
+        .map(|first| Shard {
+            first_frame: first,
+            frame_count: SHARD_FRAMES.min(experiment.frames - first),
+            tile: 0,
+        })
+        .collect();
+    Ok(Plan {
+        experiment: experiment.digest().map_err(|e| PlanError::Model(e.to_string()))?,
+        engine: match experiment.counts.engine {
+            Engine::Expected => "EXPECTED".into(),
+            Engine::Paper => "PAPER".into(),
+        },
+        region: setup.region,
+        field_nodes: field_nodes(experiment, &setup).iter().product(),
+        grid: setup.scene.samples.map(|s| s as u32),
+        artifacts,
+        shards,
+        tile_artifacts,
+        omissions: omissions::list(experiment, &setup, &wavelengths),
+        predicted_cones: cost.cones,
+        predicted_seconds: cost.seconds,
+        predicted_bytes: cost.bytes,
+        error_estimate: error::estimate(experiment, &setup, &wavelengths),
+        wavelengths_nm: wavelengths.nodes_nm,
+    })
+}
+
+/// Half of the longer side of the patch, visual degrees about.
+fn half_side_deg(setup: &Setup) -> f64 {
+    0.5 * (setup.region.max - setup.region.min).max_element() / setup::UM_PER_TANGENT * 180.0
+        / std::f64::consts::PI
+}
+
+/// Nodes along each side of the patch at which the optics are computed.
+fn field_nodes(experiment: &Experiment, setup: &Setup) -> [u32; 2] {
+    let finer = u32::from(experiment.accuracy_target < 5e-4);
+    let nodes = match half_side_deg(setup) {
+        half if half < 0.1 => 1,
+        half if half < 1.2 => 2,
+        _ => 3,
+    };
+    [nodes + finer; 2]
+}
+
+fn kernel_spec(experiment: &Experiment, setup: &Setup, nodes_nm: Vec<f64>) -> KernelSpec {
+    let farthest = [
+        setup.region.min,
+        setup.region.max,
+        DVec2::new(setup.region.min.x, setup.region.max.y),
+    ]
+    .iter()
+    .map(|corner| corner.length())
+    .fold(0.0, f64::max);
+    let ecc_max = farthest / setup::UM_PER_TANGENT * 180.0 / std::f64::consts::PI;
+    let nearest = DVec2::ZERO.clamp(setup.region.min, setup.region.max).length();
+    let ecc_min = nearest / setup::UM_PER_TANGENT * 180.0 / std::f64::consts::PI;
+    let scale = (experiment.eye.pupil_mm / 3.0).max(1.0);
+    KernelSpec {
+        prescription: setup.prescription.clone(),
+        state: setup.state,
+        distance_mm: experiment.display.distance_cm * 10.0,
+        field_um: [setup.region.min, setup.region.max],
+        field_nodes: field_nodes(experiment, setup),
+        ecc_deg: [ecc_min, ecc_max],
+        ecc_nodes: if experiment.accuracy_target < 5e-4 { 4 } else { 3 },
+        nodes_nm,
+        primaries: experiment
+            .display
+            .primaries
+            .iter()
+            .map(|p| p.spectrum.clone())
+            .collect(),
+        lens_density_scale: experiment.eye.lens_density_scale,
+        macular_peak_density: experiment.eye.macular_peak_density,
+        stiles_crawford_rho10_per_mm2: experiment.eye.stiles_crawford_rho10_per_mm2,
+        tolerance: BASIS_SHARE * experiment.accuracy_target,
+        shape: PolarShape {
+            radius: setup::cutoff(experiment),
+            radial: (256.0 * scale) as usize,
+            azimuthal: (96.0 * scale) as usize,
+        },
+    }
 }

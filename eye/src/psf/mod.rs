@@ -1,1 +1,25 @@
-//! To be written.
+//! Point spread and optical transfer of the eye (§21).
+//!
+//! [`Wavefront`] = path difference and amplitude over the pupil, as polynomials; [`matrix::psf`] the point spread as a
+//! matrix product; [`Otf`] the transfer function as an autocorrelation; [`huygens::psf`] the slow sum over traced rays
+//! that both are held against.
+//!
+//! With q the direction cosines from the landing point towards the pupil, λ' the wavelength in the vitreous and
+//! k' = 2π/λ': field(ξ) = ∫ A(q) exp(i k' (W(q) − q·ξ)) dq, PSF = |field|², OTF(ν) = ∫ PSF(ξ) exp(−2πi ν·ξ) dξ.
+//! ξ is counted from the landing point of the chief ray of the same wavelength, µm along the retina's tangents.
+
+pub mod chords;
+pub mod huygens;
+pub mod least_squares;
+pub mod matrix;
+pub mod otf;
+pub mod outline;
+pub mod polynomial;
+pub mod quadrature;
+pub mod sincos;
+pub mod wavefront;
+
+pub use huygens::HuygensOptions;
+pub use matrix::{GridAxes, PsfGrid, psf};
+pub use otf::Otf;
+pub use wavefront::{Amplitude, StilesCrawfordApodization, Wavefront, WavefrontOptions};

@@ -1,33 +1,35 @@
-//! To be written.
-use glam::DVec2;
-use serde::{Deserialize, Serialize};
-/// stub
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RetinaParams {}
-/// stub
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TileId {
-    /// i
-    pub i: i32,
-    /// j
-    pub j: i32,
-}
-/// stub
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RegionUm {
-    /// min
-    pub min: DVec2,
-    /// max
-    pub max: DVec2,
-}
-/// stub
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[repr(u8)]
-pub enum ConeType {
-    /// L
-    L = 0,
-    /// M
-    M = 1,
-    /// S
-    S = 2,
-}
+//! The retina (§13 to §15): where the cones are, their cells, types and directions.
+//!
+//! Frame: retina coordinates (x_um, y_um) are arc lengths from the foveal centre on a sphere of 12 mm radius, azimuthal equidistant:
+//! x = ecc·cos(meridian), y = ecc·sin(meridian); meridian 0 is nasal retina (the optic disc), 90° superior. Places are stored in this chart;
+//! distances between cones are measured across their direction to the exit pupil (`local`).
+//!
+//! From parameters to cones, file by file: `density` says how many; `lattice` lays patches of hexagonal lattice at that density; `relax` moves the
+//! cones by the force of `force`; `cells` draws their walls; `types` makes them L, M or S; `tile` does all that for one square of
+//! the chart as a pure function; `mosaic` holds the result; `index` finds the cone at a point; `statistics` compares with the targets.
+
+mod cells;
+mod clip;
+mod codec;
+mod density;
+mod field;
+mod force;
+mod grid;
+mod index;
+mod lattice;
+mod local;
+mod mosaic;
+mod params;
+mod relax;
+mod statistics;
+mod tile;
+mod types;
+
+pub use density::{Density, density_per_mm2};
+pub use force::{K1, K2, K3, K3_LIMIT, NEIGHBOUR, RADIUS_FACTOR, normalized_distance, spline};
+pub use index::ConeIndex;
+pub use local::{Frame, Local, Metric, local};
+pub use mosaic::{ConeType, Cones, Counts, Retina, RetinaTile};
+pub use params::{Generator, RetinaError, RetinaGeometry, RetinaParams};
+pub use statistics::{Band, Statistics, statistics, statistics_in_bands};
+pub use tile::{RegionUm, TILE_UM, TileId, build_region, build_tile, tiles_for};

@@ -1,0 +1,138 @@
+//! The ledger of photons: every photon that a frame emits has one fate, and the fates add up to the emission.
+//!
+//! Sums are over pixels for what happens before the cones and over cones for the rest; what reached the retina and entered no
+//! simulated aperture is "between cones", which holds the light beyond the patch too.
+
+use glam::DVec2;
+
+use super::cones::{ConeTable, slant_factor};
+use super::expected::Means;
+use super::kernel::Kernels;
+use super::source::{Projector, relative_light};
+use crate::media::MACULA_EDGE_DEG;
+use crate::optics::Projection;
+use crate::report::PhotonBudget;
+use crate::video::Picture;
+
+/// Steps of eccentricity in the table of the macula.
+const STEPS: usize = 100;
+
+/// Shares of one primary's photons that enter the pupil.
+#[derive(Clone, Debug)]
+struct Shares {
+    cornea: f64,
+    lens: f64,
+    /// Absorbed in the macula at each step of eccentricity.
+    macula: Vec<f64>,
+}
+
+/// What the budget needs of a scene.
+#[derive(Clone, Debug)]
+pub struct Ledger {
+    shares: Vec<Shares>,
+    /// Share of the light that cones aimed at the pupil's centre accept.
+    throughput: f64,
+    /// Slant factor and eccentricity (degrees) by pixel of the display, row-major.
+    pixels: Vec<(f64, f64)>,
+}
+
+impl Ledger {
+    /// Prepares the sums.
+    ///
+    /// # Errors
+    /// When the embedded tables cannot be read.
+    pub fn new(
+        projector: &Projector,
+        kernels: &Kernels,
+        projection: &Projection,
+        centre_px: [f64; 2],
+    ) -> Result<Self, String> {
+        let absorbers = kernels.spec().absorbers()?;
+        let paths = kernels.paths();
+        let media = &absorbers.media;
+        let shares = kernels
+            .spec()
+            .shares()
+            .iter()
+            .map(|primary| {
+                let sum =
+                    |f: &dyn Fn(f64) -> f64| primary.iter().map(|(nm, share)| share * f(*nm)).sum::<f64>();
+                let before = |nm: f64| media.cornea(nm, paths.cornea) * media.lens(nm, paths.lens);
+                let macula = (0..=STEPS).map(|i| {
+                    let ecc_deg = MACULA_EDGE_DEG * i as f64 / STEPS as f64;
+                    sum(&|nm| before(nm) * (1.0 - media.macula(nm, ecc_deg)))
+                });
+                Shares {
+                    cornea: sum(&|nm| 1.0 - media.cornea(nm, paths.cornea)),
+                    lens: sum(&|nm| media.cornea(nm, paths.cornea) * (1.0 - media.lens(nm, paths.lens))),
+                    macula: macula.collect(),
+                }
+            })
+            .collect();
+        let display = &projector.display;
+        let per_px = display.pixel_pitch_cm / display.distance_cm;
+        let mut pixels = Vec::with_capacity(display.width_px as usize * display.height_px as usize);
+        for row in 0..display.height_px {
+            for column in 0..display.width_px {
+                let from_centre =
+                    DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5) - DVec2::from_array(centre_px);
+                let tangent = DVec2::new(from_centre.x, -from_centre.y) * per_px;
+                let slant = slant_factor(display.emission_law, projection, tangent);
+                pixels.push((slant, tangent.length().atan().to_degrees()));
+            }
+        }
+        Ok(Self {
+            shares,
+            throughput: kernels.throughput(),
+            pixels,
+        })
+    }
+
+    /// The budget of one frame.
+    pub fn budget(
+        &self,
+        projector: &Projector,
+        picture: &Picture,
+        cones: &ConeTable,
+        means: &Means,
+    ) -> PhotonBudget {
+        let mut budget = PhotonBudget::default();
+        let mut reached = 0.0;
+        for (emitter, shares) in projector.emitters.iter().zip(&self.shares) {
+            let per_pixel = emitter.emitted();
+            for (rgb, (slant, ecc_deg)) in picture.rgb.chunks_exact(3).zip(&self.pixels) {
+                let emitted = per_pixel * relative_light(&projector.display, emitter.channel, rgb);
+                let entered = emitted * projector.pupil_share * slant;
+                let macula = entered * interpolate(&shares.macula, ecc_deg / MACULA_EDGE_DEG);
+                budget.emitted += emitted;
+                budget.missed_pupil += emitted - entered;
+                budget.cornea += entered * shares.cornea;
+                budget.lens += entered * shares.lens;
+                budget.macula += macula;
+                reached += entered * (1.0 - shares.cornea - shares.lens) - macula;
+            }
+        }
+        let mut arrived = 0.0;
+        let mut guided = 0.0;
+        for ((cone, mean), arriving) in cones.cones.iter().zip(&means.isomerized).zip(&means.arriving) {
+            arrived += arriving;
+            guided += arriving * cone.pointing;
+            budget.isomerized[cone.cone_type as usize] += mean;
+        }
+        let isomerized: f64 = budget.isomerized.iter().sum();
+        let absorbed = isomerized / crate::cone::ISOMERIZATION;
+        budget.between_cones = reached * self.throughput - arrived;
+        budget.stiles_crawford = reached * (1.0 - self.throughput) + arrived - guided;
+        budget.not_absorbed = guided - absorbed;
+        budget.not_isomerized = absorbed - isomerized;
+        budget
+    }
+}
+
+/// Linear interpolation in equal steps over [0, 1]; the last value beyond.
+fn interpolate(values: &[f64], at: f64) -> f64 {
+    let place = at.clamp(0.0, 1.0) * (values.len() - 1) as f64;
+    let below = (place as usize).min(values.len() - 2);
+    let t = place - below as f64;
+    values[below] * (1.0 - t) + values[below + 1] * t
+}

@@ -1,0 +1,158 @@
+//! The cones of a scene as the display sees them: apertures mapped onto the screen, and each cone's own factors.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::bounds;
+use super::kernel::Kernels;
+use super::scene::Scene;
+use crate::cone::directional::Pointing;
+use crate::display::EmissionLaw;
+use crate::experiment::Experiment;
+use crate::optics::{Projection, projection::visual_deg_from_tangent};
+use crate::plan::setup::setup;
+use crate::retina::{ConeType, Retina};
+
+/// One cone.
+#[derive(Clone, Debug)]
+pub struct MappedCone {
+    /// Corners of its aperture, pixels from the window's corner.
+    pub polygon_px: Vec<DVec2>,
+    /// Centre on the retina, µm.
+    pub um: DVec2,
+    /// Visual eccentricity, degrees.
+    pub ecc_deg: f64,
+    /// Its type.
+    pub cone_type: ConeType,
+    /// Factor from its pointing error.
+    pub pointing: f64,
+    /// Factor from the slant of screen and pupil, 1 at the gaze centre.
+    pub geometry: f64,
+}
+
+/// The columns of the cone table that users get, in the order of the artifact; one value a cone unless said.
+#[derive(Clone, Debug, Default)]
+pub struct ConeColumns {
+    /// Stable number.
+    pub id: Vec<u64>,
+    /// Centre, µm of arc from the foveal centre: nasal.
+    pub x_um: Vec<f64>,
+    /// Centre, µm of arc: superior.
+    pub y_um: Vec<f64>,
+    /// Visual field, degrees, right.
+    pub x_deg: Vec<f64>,
+    /// Visual field, degrees, up.
+    pub y_deg: Vec<f64>,
+    /// Visual eccentricity, degrees.
+    pub ecc_deg: Vec<f64>,
+    /// Retinal meridian, degrees in [0, 360): 0 nasal, 90 superior.
+    pub meridian_deg: Vec<f64>,
+    /// 0 L, 1 M, 2 S.
+    pub cone_type: Vec<u8>,
+    /// Light-collecting area, µm².
+    pub aperture_um2: Vec<f32>,
+    /// First corner of each polygon in `polygon_xy`, counted in corners; one more entry than cones.
+    pub polygon_start: Vec<u32>,
+    /// Corners x, y, absolute, µm.
+    pub polygon_xy: Vec<f32>,
+}
+
+/// The cone table of an experiment's patch.
+///
+/// # Errors
+/// When the patch does not see the screen.
+pub fn cone_columns(experiment: &Experiment, retina: &Retina) -> Result<ConeColumns, String> {
+    let projection = setup(experiment).map_err(|e| e.to_string())?.projection;
+    let mut columns = ConeColumns {
+        id: retina.id.clone(),
+        x_um: retina.x_um.clone(),
+        y_um: retina.y_um.clone(),
+        cone_type: retina.cone_type.iter().map(|t| *t as u8).collect(),
+        aperture_um2: retina.aperture_um2.clone(),
+        polygon_start: vec![0],
+        ..ConeColumns::default()
+    };
+    if retina.is_empty() {
+        return Ok(columns);
+    }
+    let (min, max) = bounds((0..retina.len()).map(|i| retina.center(i)));
+    let fit = projection.fit(min - 1.0, max + 1.0).map_err(|e| e.to_string())?;
+    for i in 0..retina.len() {
+        let at = retina.center(i);
+        let visual = visual_deg_from_tangent(fit.screen_tangent(at));
+        columns.x_deg.push(visual.x);
+        columns.y_deg.push(visual.y);
+        columns.ecc_deg.push(visual.length());
+        columns
+            .meridian_deg
+            .push(at.y.atan2(at.x).to_degrees().rem_euclid(360.0));
+        for corner in retina.polygon(i) {
+            columns.polygon_xy.extend([corner.x as f32, corner.y as f32]);
+        }
+        columns.polygon_start.push((columns.polygon_xy.len() / 2) as u32);
+    }
+    Ok(columns)
+}
+
+/// All cones of a scene.
+#[derive(Clone, Debug)]
+pub struct ConeTable {
+    /// In the order of the artifact.
+    pub cones: Vec<MappedCone>,
+}
+
+/// Share of the light that a point of a flat screen sends into the pupil, relative to the gaze centre: the screen's emission law,
+/// the squared distance and the pupil's slant.
+pub fn slant_factor(law: EmissionLaw, projection: &Projection, tangent: DVec2) -> f64 {
+    let cos2 = 1.0 / (1.0 + tangent.length_squared());
+    let emission = match law {
+        EmissionLaw::Lambertian => cos2 * cos2.sqrt(),
+        EmissionLaw::Uniform => cos2,
+    };
+    let slant = |t: DVec2| projection.object(t).angle_deg().to_radians().cos();
+    emission * slant(tangent) / slant(DVec2::ZERO)
+}
+
+impl ConeTable {
+    /// Maps the cones of a patch.
+    ///
+    /// # Errors
+    /// When a part of the patch does not see the screen.
+    pub fn new(
+        retina: &Retina,
+        projection: &Projection,
+        scene: &Scene,
+        kernels: &Kernels,
+        law: EmissionLaw,
+        pointing: &Pointing,
+    ) -> Result<Self, String> {
+        if retina.is_empty() {
+            return Ok(Self { cones: Vec::new() });
+        }
+        let (min, max) = bounds((0..retina.len()).flat_map(|i| retina.polygon(i)));
+        let [node_min, node_max] = kernels.spec().field_um;
+        let fit = projection
+            .fit(min.min(node_min), max.max(node_max))
+            .map_err(|e| e.to_string())?;
+        let cones = (0..retina.len())
+            .into_par_iter()
+            .map(|i| {
+                let um = DVec2::new(retina.x_um[i], retina.y_um[i]);
+                let tangent = fit.screen_tangent(um);
+                let [px, py] = retina.pointing[i];
+                MappedCone {
+                    polygon_px: retina
+                        .polygon(i)
+                        .map(|c| scene.window_px(fit.screen_tangent(c)))
+                        .collect(),
+                    um,
+                    ecc_deg: tangent.length().atan().to_degrees(),
+                    cone_type: retina.cone_type[i],
+                    pointing: pointing.factor(f64::from(px).hypot(f64::from(py))),
+                    geometry: slant_factor(law, projection, tangent),
+                }
+            })
+            .collect();
+        Ok(Self { cones })
+    }
+}

@@ -1,0 +1,352 @@
+//! Optical kernels of a scene: what the eye and the cones' filters do to a display's primaries, as Fourier transforms.
+//!
+//! For primary k, kind T (isomerized in L, M, S; arriving) and a place on the retina (field point f, eccentricity e):
+//! `K(ν) = Σ_m w_{kTe,m} OTF_f(λ_m, J⁻ᵀν) exp(-2πi J⁻ᵀν·δ_f(λ_m))`, ν in cycles per unit tangent of the screen, J the
+//! magnification (µm per unit tangent) at f, δ the landing point of the chief ray at λ_m from that at 543 nm (transverse chromatic
+//! shift). Between places K is interpolated by Lagrange polynomials over Chebyshev nodes; a low-rank basis then spans all places
+//! ([`super::lowrank`]), so that a cone's mean is a short sum of basis images.
+//!
+//! Absolute: K(0) is the share of photons through the entrance pupil that is counted; nothing is renormalized.
+
+use glam::DVec2;
+use rayon::prelude::*;
+use rustfft::num_complex::Complex64;
+use serde::{Deserialize, Serialize};
+
+use super::lowrank::compress;
+use super::polar::PolarShape;
+use super::spectral::{Absorbers, KINDS, Paths, Share};
+use super::transfer::{FieldPoint, transfer_table};
+use super::{codec, nodes};
+use crate::cone::pigment::Pigments;
+use crate::display::photon_shares;
+use crate::media::Media;
+use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
+use crate::spectrum::Spectrum;
+
+const MAGIC: [u8; 8] = *b"PEkernl1";
+/// Diameter of the smallest cones, µm: frequencies that such an aperture averages away weigh less in the basis.
+const APERTURE_UM: f64 = 2.0;
+/// µm of retina per unit tangent near the fovea, for that weight only.
+const UM_PER_TANGENT: f64 = 16_440.0;
+/// Weight of the mean light against all other frequencies in the basis.
+const MEAN_WEIGHT: f64 = 10.0;
+
+/// Inputs of the kernels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KernelSpec {
+    /// The eye.
+    pub prescription: Prescription,
+    /// Its pupil, focus and dispersion.
+    pub state: EyeState,
+    /// Distance of the screen from the corneal apex, mm.
+    pub distance_mm: f64,
+    /// Rectangle of the retina, µm: minimum and maximum.
+    pub field_um: [DVec2; 2],
+    /// Chebyshev nodes of the field, x and y.
+    pub field_nodes: [u32; 2],
+    /// Range of visual eccentricity, degrees.
+    pub ecc_deg: [f64; 2],
+    /// Chebyshev nodes of the eccentricity.
+    pub ecc_nodes: u32,
+    /// Wavelength nodes, nm, increasing.
+    pub nodes_nm: Vec<f64>,
+    /// Spectra of the primaries (radiant power).
+    pub primaries: Vec<Spectrum>,
+    /// Factor on the density of cornea and lens.
+    pub lens_density_scale: f64,
+    /// Peak density of the macula.
+    pub macular_peak_density: f64,
+    /// Stiles-Crawford coefficient, base 10, 1/mm²; 0 is off.
+    pub stiles_crawford_rho10_per_mm2: f64,
+    /// Relative error of the low-rank basis.
+    pub tolerance: f64,
+    /// Shape of the tables.
+    pub shape: PolarShape,
+}
+
+/// The basis of one kind.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct KindBasis {
+    /// `[place][r]`, place = field node * eccentricity nodes + eccentricity node.
+    from_basis: Vec<Vec<f64>>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Head {
+    spec: KernelSpec,
+    kinds: Vec<KindBasis>,
+    basis_error: f64,
+    /// Mean over the field nodes of the apodized share of the pupil's light.
+    throughput: f64,
+    paths: Paths,
+}
+
+/// Kernels, ready for use.
+#[derive(Clone, Debug)]
+pub struct Kernels {
+    head: Head,
+    /// `[kind][r][primary][sample]`.
+    tables: Vec<Vec<Vec<Vec<Complex64>>>>,
+}
+
+impl KernelSpec {
+    /// Shares of each primary's photons by wavelength.
+    pub fn shares(&self) -> Vec<Vec<Share>> {
+        photon_shares(&self.primaries)
+    }
+
+    /// The absorbers.
+    ///
+    /// # Errors
+    /// When the embedded tables cannot be read.
+    pub fn absorbers(&self) -> Result<Absorbers, String> {
+        Ok(Absorbers {
+            media: Media::new(self.lens_density_scale, self.macular_peak_density)?,
+            pigments: Pigments::new()?,
+        })
+    }
+
+    /// The screen in front of the eye.
+    ///
+    /// # Errors
+    /// When the eye is refused.
+    pub fn projection(&self) -> Result<Projection, String> {
+        let eye = SchematicEye::new(&self.prescription, &self.state).map_err(|e| e.to_string())?;
+        Projection::new(&eye, self.distance_mm).map_err(|e| e.to_string())
+    }
+
+    fn ecc_values(&self) -> Vec<f64> {
+        nodes::chebyshev(self.ecc_deg[0], self.ecc_deg[1], self.ecc_nodes as usize)
+    }
+
+    fn field_axes(&self) -> [Vec<f64>; 2] {
+        let [min, max] = self.field_um;
+        [
+            nodes::chebyshev(min.x, max.x, self.field_nodes[0] as usize),
+            nodes::chebyshev(min.y, max.y, self.field_nodes[1] as usize),
+        ]
+    }
+
+    /// Computes the kernels.
+    ///
+    /// # Errors
+    /// When a field point is not seen or an eye cannot be traced.
+    pub fn build(&self) -> Result<Kernels, String> {
+        let projection = self.projection()?;
+        let [xs, ys] = self.field_axes();
+        let mut points = Vec::new();
+        for &y in &ys {
+            for &x in &xs {
+                points.push(FieldPoint::new(&projection, DVec2::new(x, y))?);
+            }
+        }
+        // Transfer of every field point at every wavelength, in that order whatever thread computes it.
+        let jobs: Vec<(usize, f64)> = (0..points.len())
+            .flat_map(|f| self.nodes_nm.iter().map(move |&nm| (f, nm)))
+            .collect();
+        let transfers: Vec<_> = jobs
+            .par_iter()
+            .map(|&(f, nm)| {
+                transfer_table(
+                    &projection,
+                    &points[f],
+                    nm,
+                    self.stiles_crawford_rho10_per_mm2,
+                    self.shape,
+                )
+            })
+            .collect::<Result<_, String>>()?;
+        let centre = transfers.len() / 2;
+        let paths = transfers.get(centre).map_or(
+            Paths {
+                cornea: 1.0,
+                lens: 1.0,
+            },
+            |t| t.paths,
+        );
+        let throughput = transfers.iter().map(|t| t.throughput).sum::<f64>() / transfers.len().max(1) as f64;
+        let kernels = self.kernels_by_place(
+            &transfers.iter().map(|t| t.table.as_slice()).collect::<Vec<_>>(),
+            paths,
+        )?;
+        let weights = self.basis_weights();
+        let bases: Vec<_> = kernels
+            .par_iter()
+            .map(|places| compress(places, &weights, self.tolerance))
+            .collect();
+        let basis_error = bases.iter().map(|b| b.error).fold(0.0, f64::max);
+        let samples = self.shape.len();
+        let split = |kernel: &Vec<Complex64>| kernel.chunks(samples).map(<[Complex64]>::to_vec).collect();
+        let tables = bases
+            .iter()
+            .map(|b| b.kernels.iter().map(split).collect())
+            .collect();
+        let kinds = bases
+            .into_iter()
+            .map(|b| KindBasis {
+                from_basis: b.from_basis,
+            })
+            .collect();
+        Ok(Kernels {
+            head: Head {
+                spec: self.clone(),
+                kinds,
+                basis_error,
+                throughput,
+                paths,
+            },
+            tables,
+        })
+    }
+
+    /// `[kind][place][primary·sample]`.
+    fn kernels_by_place(
+        &self,
+        transfers: &[&[Complex64]],
+        paths: Paths,
+    ) -> Result<Vec<Vec<Vec<Complex64>>>, String> {
+        let absorbers = self.absorbers()?;
+        let shares = self.shares();
+        let eccentricities = self.ecc_values();
+        let waves = self.nodes_nm.len();
+        let fields = transfers.len() / waves.max(1);
+        let places: Vec<(usize, usize, f64)> = (0..KINDS.len())
+            .flat_map(|kind| (0..fields).flat_map(move |f| [(kind, f)]))
+            .flat_map(|(kind, f)| eccentricities.iter().map(move |&e| (kind, f, e)))
+            .collect();
+        let flat: Vec<Vec<Complex64>> = places
+            .par_iter()
+            .map(|&(kind, f, ecc)| {
+                let mut kernel = Vec::with_capacity(shares.len() * self.shape.len());
+                for primary in &shares {
+                    let weights = absorbers.weights(primary, &self.nodes_nm, KINDS[kind], ecc, paths);
+                    let mut sum = vec![Complex64::ZERO; self.shape.len()];
+                    for (weight, table) in weights.iter().zip(&transfers[f * waves..(f + 1) * waves]) {
+                        sum.iter_mut().zip(*table).for_each(|(s, t)| *s += *weight * t);
+                    }
+                    kernel.extend(sum);
+                }
+                kernel
+            })
+            .collect();
+        let per_kind = fields * eccentricities.len();
+        Ok(flat
+            .chunks(per_kind.max(1))
+            .map(<[Vec<Complex64>]>::to_vec)
+            .collect())
+    }
+
+    /// Weights of the samples in the basis: area in the frequency plane times the aperture's transform squared, and the mean.
+    fn basis_weights(&self) -> Vec<f64> {
+        let one: Vec<f64> = (0..self.shape.len())
+            .map(|i| {
+                let nu = self.shape.radius * (i % self.shape.radial) as f64 / (self.shape.radial - 1) as f64;
+                let blur =
+                    (-0.5 * (std::f64::consts::TAU * nu / UM_PER_TANGENT * APERTURE_UM / 4.0).powi(2)).exp();
+                nu * blur * blur
+            })
+            .collect();
+        let total: f64 = one.iter().sum();
+        let mean = MEAN_WEIGHT * total / self.shape.azimuthal as f64;
+        let one: Vec<f64> = one
+            .into_iter()
+            .enumerate()
+            .map(|(i, w)| if i % self.shape.radial == 0 { mean } else { w })
+            .collect();
+        self.primaries.iter().flat_map(|_| one.iter().copied()).collect()
+    }
+}
+
+impl Kernels {
+    /// The inputs.
+    pub fn spec(&self) -> &KernelSpec {
+        &self.head.spec
+    }
+
+    /// Relative error of the low-rank basis.
+    pub fn basis_error(&self) -> f64 {
+        self.head.basis_error
+    }
+
+    /// Share of the pupil's light that cones aimed at its centre accept.
+    pub fn throughput(&self) -> f64 {
+        self.head.throughput
+    }
+
+    /// Mean path lengths in the media.
+    pub fn paths(&self) -> Paths {
+        self.head.paths
+    }
+
+    /// Basis images of a kind.
+    pub fn rank(&self, kind: usize) -> usize {
+        self.tables[kind].len()
+    }
+
+    /// The table of a kind's basis kernel for a primary.
+    pub fn table(&self, kind: usize, r: usize, primary: usize) -> &[Complex64] {
+        &self.tables[kind][r][primary]
+    }
+
+    /// Coefficients `[r]` of a kind's basis at a place of the retina (µm) with a visual eccentricity (degrees).
+    pub fn coefficients(&self, kind: usize, um: DVec2, ecc_deg: f64) -> Vec<f64> {
+        let [xs, ys] = self.head.spec.field_axes();
+        let (at_x, at_y) = (nodes::lagrange(&xs, um.x), nodes::lagrange(&ys, um.y));
+        let at_e = nodes::lagrange(&self.head.spec.ecc_values(), ecc_deg);
+        let mut sum = vec![0.0; self.rank(kind)];
+        let from_basis = &self.head.kinds[kind].from_basis;
+        for (iy, wy) in at_y.iter().enumerate() {
+            for (ix, wx) in at_x.iter().enumerate() {
+                for (ie, we) in at_e.iter().enumerate() {
+                    let row = &from_basis[(iy * xs.len() + ix) * at_e.len() + ie];
+                    sum.iter_mut().zip(row).for_each(|(s, u)| *s += wx * wy * we * u);
+                }
+            }
+        }
+        sum
+    }
+
+    /// As bytes.
+    ///
+    /// # Errors
+    /// When the head cannot be written.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, String> {
+        let samples = self.tables.iter().flatten().flatten().flatten();
+        codec::encode(MAGIC, &self.head, samples.flat_map(|z| [z.re, z.im]))
+    }
+
+    /// From bytes.
+    ///
+    /// # Errors
+    /// When the bytes are damaged.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
+        let (head, numbers): (Head, Vec<f64>) = codec::decode(MAGIC, bytes)?;
+        let primaries = head.spec.primaries.len();
+        let samples = head.spec.shape.len();
+        let ranks: Vec<usize> = head
+            .kinds
+            .iter()
+            .map(|k| k.from_basis.first().map_or(0, Vec::len))
+            .collect();
+        let expected = ranks.iter().sum::<usize>().checked_mul(2 * primaries * samples);
+        if head.kinds.len() != KINDS.len() || expected != Some(numbers.len()) || samples == 0 {
+            return Err("its size does not fit its head".into());
+        }
+        let values: Vec<Complex64> = numbers
+            .chunks_exact(2)
+            .map(|z| Complex64::new(z[0], z[1]))
+            .collect();
+        let mut parts = values.chunks_exact(samples);
+        let mut next = || parts.next().map(<[Complex64]>::to_vec).unwrap_or_default();
+        let tables = ranks
+            .iter()
+            .map(|&rank| {
+                (0..rank)
+                    .map(|_| (0..primaries).map(|_| next()).collect())
+                    .collect()
+            })
+            .collect();
+        Ok(Self { head, tables })
+    }
+}

@@ -1,0 +1,481 @@
+//! Engine `paper`: §21–22 to the letter, photon by photon. The slow reference and the anchor of every comparison.
+//!
+//! Point spreads of 1024 random rays on 128 x 128 samples, a window of at least 20 µm, renormalized, every 10 nm of wavelength and
+//! every 300 µm of retina, held as cumulative tables. Each photon that enters the pupil gets a place in its sub-pixel, a time and
+//! a wavelength; the drift moves its place; the wavelength snaps to the nearest table; the losses and the landing centre are
+//! interpolated between the four nearest nodes, the spread is the nearest one's; the landing point decides the cone, which takes
+//! its draws for direction, absorption and isomerization.
+//!
+//! # As printed
+//! "The entry closest to, but not above the random value" of a cumulative table gives the sample; the photon lands at its centre.
+//! The printed SCE-I factor depends on the cone's own pointing only; the part common to all cones, which other engines have as
+//! an apodization, is its mean here, so that engines can be compared.
+
+use glam::DVec2;
+use rayon::prelude::*;
+use rustfft::num_complex::Complex64;
+
+use super::kernel::Kernels;
+use super::scene::Scene;
+use super::source::{Projector, relative_light};
+use super::spectral::Absorbers;
+use crate::cone::{ISOMERIZATION, directional::Pointing};
+use crate::display::Emitter;
+use crate::experiment::{Experiment, PaperSettings};
+use crate::optics::{Object, Projection, PupilBundle};
+use crate::report::PhotonBudget;
+use crate::retina::{ConeIndex, ConeType, Retina};
+use crate::rng::{Purpose, Stream};
+use crate::spectrum::MIN_NM;
+use crate::video::Picture;
+
+/// Spacing of wavelengths, nm.
+const CHANNEL_NM: f64 = 10.0;
+/// Number of channels from 390 to 830 nm.
+const CHANNELS: usize = 45;
+/// Spacing of the nodes on the retina, µm.
+const NODE_UM: f64 = 300.0;
+/// µm of retina per unit tangent that turns that spacing into one on the screen.
+const UM_PER_TANGENT: f64 = 16_440.0;
+/// Pixels in one piece of work.
+const CHUNK: usize = 64;
+
+/// One point spread.
+struct Table {
+    /// Cumulative probability, `[i][j]`, i along x_um.
+    cumulative: Vec<f32>,
+    half_width_um: f64,
+    /// Landing point of the chief ray, µm.
+    landing_um: DVec2,
+    /// Transmittance of cornea, lens and macula.
+    passed: [f64; 3],
+}
+
+/// A cone's own numbers.
+struct Catch {
+    pointing: f64,
+    ecc_deg: f64,
+    cone_type: ConeType,
+}
+
+/// The prepared engine.
+pub struct Paper {
+    settings: PaperSettings,
+    seed: u64,
+    throughput: f64,
+    scene: Scene,
+    index: ConeIndex,
+    cones: Vec<Catch>,
+    absorbers: Absorbers,
+    /// First node on the screen (unit tangents), number of nodes.
+    origin: DVec2,
+    nodes: [usize; 2],
+    /// `[node][channel]`.
+    tables: Vec<Vec<Option<Table>>>,
+    /// Cumulative share of the wavelength samples of each emitter.
+    wavelengths: Vec<Vec<(f64, f64)>>,
+    slant: Vec<f64>,
+}
+
+#[derive(Clone)]
+struct Tally {
+    counts: Vec<u32>,
+    budget: PhotonBudget,
+}
+
+impl Paper {
+    /// Prepares tables and cones.
+    ///
+    /// # Errors
+    /// When a node of the screen is not seen.
+    pub fn new(
+        experiment: &Experiment,
+        retina: &Retina,
+        kernels: &Kernels,
+        projection: &Projection,
+        projector: &Projector,
+        scene: &Scene,
+        pointing: &Pointing,
+    ) -> Result<Self, String> {
+        let absorbers = kernels.spec().absorbers()?;
+        let columns = super::cone_columns(experiment, retina)?;
+        let cones = (0..retina.len())
+            .map(|i| {
+                let [px, py] = retina.pointing[i];
+                Catch {
+                    pointing: pointing.factor(f64::from(px).hypot(f64::from(py))),
+                    ecc_deg: columns.ecc_deg[i],
+                    cone_type: retina.cone_type[i],
+                }
+            })
+            .collect();
+        let step = NODE_UM / UM_PER_TANGENT;
+        let corner = |px: f64, py: f64| scene.tangent(DVec2::new(px, py));
+        let (width, height) = (f64::from(scene.size_px[0]), f64::from(scene.size_px[1]));
+        let (from, to) = (corner(0.0, height), corner(width, 0.0));
+        let origin = (from / step).floor() * step;
+        let nodes = [0, 1].map(|axis| ((to[axis] - origin[axis]) / step).ceil().max(1.0) as usize + 1);
+        let wavelengths: Vec<_> = projector.emitters.iter().map(cumulative_wavelengths).collect();
+        let used: Vec<bool> = (0..CHANNELS)
+            .map(|c| wavelengths.iter().flatten().any(|(nm, _)| channel(*nm) == c))
+            .collect();
+        let mut paper = Self {
+            settings: experiment.counts.paper,
+            seed: experiment.counts.seed,
+            throughput: kernels.throughput(),
+            scene: scene.clone(),
+            index: ConeIndex::new(retina),
+            cones,
+            absorbers,
+            origin,
+            nodes,
+            tables: Vec::new(),
+            wavelengths,
+            slant: slants(projector, projection, scene),
+        };
+        let apodize = experiment.eye.stiles_crawford_rho10_per_mm2;
+        let jobs: Vec<(usize, usize)> = (0..nodes[0] * nodes[1])
+            .flat_map(|node| (0..CHANNELS).map(move |c| (node, c)))
+            .collect();
+        let tables: Vec<Option<Table>> = jobs
+            .par_iter()
+            .map(|&(node, c)| {
+                if used[c] {
+                    paper.table(projection, node, c, apodize).map(Some)
+                } else {
+                    Ok(None)
+                }
+            })
+            .collect::<Result<_, String>>()?;
+        let mut tables = tables.into_iter();
+        paper.tables = (0..nodes[0] * nodes[1])
+            .map(|_| tables.by_ref().take(CHANNELS).collect())
+            .collect();
+        Ok(paper)
+    }
+
+    /// The point spread of one node and channel.
+    fn table(&self, projection: &Projection, node: usize, channel: usize, rho: f64) -> Result<Table, String> {
+        let step = NODE_UM / UM_PER_TANGENT;
+        let tangent =
+            self.origin + DVec2::new((node % self.nodes[0]) as f64, (node / self.nodes[0]) as f64) * step;
+        let nm = MIN_NM + CHANNEL_NM * channel as f64;
+        let object = projection.object(tangent);
+        let bundle = random_bundle(
+            projection,
+            object,
+            nm,
+            &self.settings,
+            self.seed,
+            (node * CHANNELS + channel) as u64,
+        )?;
+        let half_width_um = 0.5 * self.settings.window_um.max(spread_width_um(projection, &bundle));
+        let eye = projection.eye();
+        let entrance_mm = eye.stop_radius_mm() * eye.stop_magnification();
+        let amplitudes: Vec<f64> = bundle
+            .rays
+            .iter()
+            .map(|r| 10_f64.powf(-0.5 * rho * (r.stop * entrance_mm).length_squared()))
+            .collect();
+        let cumulative = cumulative(
+            &bundle,
+            &amplitudes,
+            self.settings.samples as usize,
+            half_width_um,
+        );
+        let ecc_deg = tangent.length().atan().to_degrees();
+        let media = &self.absorbers.media;
+        Ok(Table {
+            cumulative,
+            half_width_um,
+            landing_um: projection.retina_um(tangent, nm).map_err(|e| e.to_string())?,
+            passed: [
+                media.cornea(nm, 1.0),
+                media.lens(nm, 1.0),
+                media.macula(nm, ecc_deg),
+            ],
+        })
+    }
+
+    /// Simulates one frame: counts by cone and the fates of its photons.
+    pub fn frame(&self, index: u32, picture: &Picture, projector: &Projector) -> (Vec<u32>, PhotonBudget) {
+        let [width, height] = self.scene.size_px.map(|s| s as usize);
+        let chunks: Vec<(usize, usize)> = (0..projector.emitters.len())
+            .flat_map(|k| (0..(width * height).div_ceil(CHUNK)).map(move |c| (k, c)))
+            .collect();
+        let empty = || Tally {
+            counts: vec![0; self.cones.len()],
+            budget: PhotonBudget::default(),
+        };
+        // Counts and fates are whole numbers, so their sums do not depend on the order.
+        let mut tally = chunks
+            .par_iter()
+            .fold(empty, |mut tally, &(k, chunk)| {
+                let mut stream = Stream::new(
+                    self.seed,
+                    Purpose::Photons,
+                    u64::from(index),
+                    ((k as u64) << 40) | chunk as u64,
+                );
+                for pixel in chunk * CHUNK..((chunk + 1) * CHUNK).min(width * height) {
+                    self.pixel(index, picture, projector, (k, pixel), &mut stream, &mut tally);
+                }
+                tally
+            })
+            .reduce(empty, |mut a, b| {
+                a.counts
+                    .iter_mut()
+                    .zip(&b.counts)
+                    .for_each(|(x, y)| *x = x.saturating_add(*y));
+                a.budget.add(&b.budget);
+                a
+            });
+        let mut emitted = 0.0;
+        for emitter in &projector.emitters {
+            let light = picture
+                .rgb
+                .chunks_exact(3)
+                .map(|rgb| relative_light(&projector.display, emitter.channel, rgb));
+            emitted += emitter.emitted() * light.sum::<f64>();
+        }
+        let entered = tally.budget.fates();
+        tally.budget.emitted = emitted;
+        tally.budget.missed_pupil = emitted - entered;
+        (tally.counts, tally.budget)
+    }
+
+    /// All photons of one pixel of the window from one emitter.
+    fn pixel(
+        &self,
+        index: u32,
+        picture: &Picture,
+        projector: &Projector,
+        (k, pixel): (usize, usize),
+        stream: &mut Stream,
+        tally: &mut Tally,
+    ) {
+        let emitter = &projector.emitters[k];
+        let width = self.scene.size_px[0] as usize;
+        let (column, row) = (pixel % width, pixel / width);
+        let at = (row + self.scene.first_px[1] as usize) * picture.width as usize
+            + column
+            + self.scene.first_px[0] as usize;
+        let light = relative_light(
+            &projector.display,
+            emitter.channel,
+            &picture.rgb[3 * at..3 * at + 3],
+        );
+        let mean = light * emitter.emitted() * projector.pupil_share * self.slant[pixel];
+        let seconds = 1.0 / projector.display.frame_rate_hz;
+        for _ in 0..super::poisson::from_stream(stream, mean) as u64 {
+            let place = self.place(emitter, stream) + DVec2::new(column as f64, row as f64);
+            let part = emitter.lit[0] + (emitter.lit[1] - emitter.lit[0]) * stream.uniform();
+            let seen = self.scene.tangent(place)
+                - projector.gaze.screen_tangent((f64::from(index) + part) * seconds);
+            let nm = sample(&self.wavelengths[k], stream.uniform());
+            self.photon(seen, channel(nm), stream, tally);
+        }
+    }
+
+    /// A point of the emitter's rectangles, pixel units.
+    fn place(&self, emitter: &Emitter, stream: &mut Stream) -> DVec2 {
+        let mut left = stream.uniform();
+        let mut chosen = emitter.rects[emitter.rects.len() - 1].0;
+        for (rect, share) in &emitter.rects {
+            if left < *share {
+                chosen = *rect;
+                break;
+            }
+            left -= share;
+        }
+        let [x0, y0, x1, y1] = chosen;
+        DVec2::new(
+            x0 + (x1 - x0) * stream.uniform(),
+            y0 + (y1 - y0) * stream.uniform(),
+        )
+    }
+
+    /// One photon in the pupil, seen at a point of the screen.
+    fn photon(&self, seen: DVec2, channel: usize, stream: &mut Stream, tally: &mut Tally) {
+        let grid = (seen - self.origin) / (NODE_UM / UM_PER_TANGENT);
+        let most = DVec2::new((self.nodes[0] - 2) as f64, (self.nodes[1] - 2) as f64);
+        let cell = grid.floor().clamp(DVec2::ZERO, most);
+        let t = grid - cell;
+        let (x, y) = (cell.x as usize, cell.y as usize);
+        let mut passed = [0.0; 3];
+        let mut centre = DVec2::ZERO;
+        for (dx, dy, weight) in [
+            (0, 0, (1.0 - t.x) * (1.0 - t.y)),
+            (1, 0, t.x * (1.0 - t.y)),
+            (0, 1, (1.0 - t.x) * t.y),
+            (1, 1, t.x * t.y),
+        ] {
+            let Some(table) = &self.tables[(y + dy) * self.nodes[0] + x + dx][channel] else {
+                return;
+            };
+            centre += weight * table.landing_um;
+            (0..3).for_each(|i| passed[i] += weight * table.passed[i]);
+        }
+        // The filters before the retina.
+        for (fate, share) in [
+            &mut tally.budget.cornea,
+            &mut tally.budget.lens,
+            &mut tally.budget.macula,
+        ]
+        .into_iter()
+        .zip(passed)
+        {
+            if stream.uniform() >= share {
+                *fate += 1.0;
+                return;
+            }
+        }
+        // The landing point, from the nearest node's spread.
+        let near = (y + usize::from(t.y > 0.5)) * self.nodes[0] + x + usize::from(t.x > 0.5);
+        let Some(table) = &self.tables[near][channel] else {
+            return;
+        };
+        let landed = centre + table.draw(stream.uniform(), self.settings.samples as usize);
+        self.cone(landed, channel, stream, tally);
+    }
+
+    /// What the cone at a landing point does with the photon.
+    fn cone(&self, landed: DVec2, channel: usize, stream: &mut Stream, tally: &mut Tally) {
+        let Some(owner) = self.index.owner(landed) else {
+            tally.budget.between_cones += 1.0;
+            return;
+        };
+        let cone = &self.cones[owner as usize];
+        if stream.uniform() >= self.throughput * cone.pointing {
+            tally.budget.stiles_crawford += 1.0;
+            return;
+        }
+        let nm = MIN_NM + CHANNEL_NM * channel as f64;
+        if stream.uniform()
+            >= self
+                .absorbers
+                .pigments
+                .absorptance(cone.cone_type, nm, cone.ecc_deg)
+        {
+            tally.budget.not_absorbed += 1.0;
+        } else if stream.uniform() >= ISOMERIZATION {
+            tally.budget.not_isomerized += 1.0;
+        } else {
+            tally.counts[owner as usize] = tally.counts[owner as usize].saturating_add(1);
+            tally.budget.isomerized[cone.cone_type as usize] += 1.0;
+        }
+    }
+}
+
+impl Table {
+    /// The landing offset for a uniform number, µm.
+    fn draw(&self, uniform: f64, samples: usize) -> DVec2 {
+        let at = self
+            .cumulative
+            .partition_point(|c| f64::from(*c) <= uniform)
+            .min(self.cumulative.len() - 1);
+        let pitch = 2.0 * self.half_width_um / samples as f64;
+        let offset = |i: usize| (i as f64 + 0.5) * pitch - self.half_width_um;
+        DVec2::new(offset(at / samples), offset(at % samples))
+    }
+}
+
+fn channel(nm: f64) -> usize {
+    (((nm - MIN_NM) / CHANNEL_NM).round().max(0.0) as usize).min(CHANNELS - 1)
+}
+
+fn cumulative_wavelengths(emitter: &Emitter) -> Vec<(f64, f64)> {
+    let total = emitter.emitted();
+    let mut sum = 0.0;
+    let add = |p: &crate::display::PhotonSample| {
+        sum += p.emitted;
+        (p.nm, if total > 0.0 { sum / total } else { 1.0 })
+    };
+    emitter.photons.iter().map(add).collect()
+}
+
+fn sample(cumulative: &[(f64, f64)], uniform: f64) -> f64 {
+    cumulative[cumulative
+        .partition_point(|(_, c)| *c <= uniform)
+        .min(cumulative.len() - 1)]
+    .0
+}
+
+/// Slant factors of the window's pixels.
+fn slants(projector: &Projector, projection: &Projection, scene: &Scene) -> Vec<f64> {
+    let [width, height] = scene.size_px;
+    let mut slants = Vec::with_capacity((width * height) as usize);
+    for row in 0..height {
+        for column in 0..width {
+            let tangent = scene.tangent(DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5));
+            slants.push(super::cones::slant_factor(
+                projector.display.emission_law,
+                projection,
+                tangent,
+            ));
+        }
+    }
+    slants
+}
+
+/// Random rays through the stop.
+fn random_bundle(
+    projection: &Projection,
+    object: Object,
+    nm: f64,
+    settings: &PaperSettings,
+    seed: u64,
+    item: u64,
+) -> Result<PupilBundle, String> {
+    let mut stream = Stream::new(seed, Purpose::Rays, 0, item);
+    let points: Vec<(DVec2, f64)> = (0..settings.rays)
+        .map(|_| {
+            let radius = stream.uniform().sqrt();
+            (
+                DVec2::from_angle(std::f64::consts::TAU * stream.uniform()) * radius,
+                1.0,
+            )
+        })
+        .collect();
+    PupilBundle::trace_points(projection.eye(), object, nm, &points, &[]).map_err(|e| e.to_string())
+}
+
+/// Width of the square around the landing point that holds where all rays land, µm.
+fn spread_width_um(projection: &Projection, bundle: &PupilBundle) -> f64 {
+    let fovea = projection.eye().fovea();
+    let centre = fovea.um_from_point(bundle.landing);
+    let far = bundle
+        .rays
+        .iter()
+        .map(|r| (fovea.um_from_point(r.landing) - centre).abs().max_element());
+    2.0 * far.fold(0.0, f64::max)
+}
+
+/// Cumulative table of the point spread: squared modulus of the sum of all rays' phases, a product of two small matrices.
+fn cumulative(bundle: &PupilBundle, amplitudes: &[f64], samples: usize, half_width_um: f64) -> Vec<f32> {
+    let wavelength_um = bundle.wavelength_mm() * 1e3;
+    let pitch = 2.0 * half_width_um / samples as f64;
+    let turn = std::f64::consts::TAU / wavelength_um;
+    let offset = |i: usize| (i as f64 + 0.5) * pitch - half_width_um;
+    let mut field = vec![Complex64::ZERO; samples * samples];
+    for (ray, amplitude) in bundle.rays.iter().zip(amplitudes) {
+        let wave = |q: f64| {
+            (0..samples)
+                .map(|i| Complex64::cis(-turn * q * offset(i)))
+                .collect::<Vec<_>>()
+        };
+        let (along_x, along_y) = (wave(ray.q.x), wave(ray.q.y));
+        let start = Complex64::from_polar(*amplitude, turn * ray.opd_mm * 1e3);
+        for (line, x) in field.chunks_exact_mut(samples).zip(&along_x) {
+            let x = start * x;
+            line.iter_mut().zip(&along_y).for_each(|(f, y)| *f += x * y);
+        }
+    }
+    let total: f64 = field.iter().map(Complex64::norm_sqr).sum();
+    let mut sum = 0.0;
+    let add = |f: &Complex64| {
+        sum += f.norm_sqr();
+        (sum / total) as f32
+    };
+    field.iter().map(add).collect()
+}

@@ -1,0 +1,141 @@
+//! The window of the display that a patch of retina sees, and the periodic grid on which its image is computed.
+//!
+//! Pixel coordinates: x to the right, y down, in pixel pitches from the top left corner of the display. The image is made
+//! periodic; the period is a whole number of pixels, so that the picture's spectrum is a small discrete transform repeated, and
+//! long enough that no copy of the picture comes nearer than the guard distance to a simulated cone.
+
+use glam::DVec2;
+
+use crate::display::Display;
+
+/// Largest side of the grid, samples.
+pub const MAX_GRID: usize = 6144;
+
+/// Window and grid.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// First column and row of the display inside the window.
+    pub first_px: [u32; 2],
+    /// Columns and rows of the display inside the window.
+    pub size_px: [u32; 2],
+    /// Period, pixels.
+    pub period_px: [usize; 2],
+    /// Samples in a period.
+    pub samples: [usize; 2],
+    /// Highest frequency kept, cycles per unit tangent.
+    pub band: f64,
+    /// Unit tangents (screen distance over viewing distance) in a pixel pitch.
+    pub tangent_per_px: f64,
+    /// Point of the display on the foveal centre at rest, pixels.
+    centre_px: DVec2,
+}
+
+/// What decides window and grid.
+#[derive(Clone, Copy, Debug)]
+pub struct SceneNeeds {
+    /// Point of the display on the foveal centre at rest, pixels.
+    pub centre_px: DVec2,
+    /// Rectangle of the screen (unit tangents, y up) that the cones see.
+    pub cones: [DVec2; 2],
+    /// Rectangle of the line of sight's positions on the screen over all frames (unit tangents).
+    pub sight: [DVec2; 2],
+    /// Least distance between a cone and a copy of the picture, unit tangents.
+    pub guard: f64,
+    /// Highest frequency kept, cycles per unit tangent.
+    pub band: f64,
+    /// Samples per two cycles of that frequency, at least (> 1).
+    pub oversampling: f64,
+}
+
+impl Scene {
+    /// Window and grid for a display.
+    ///
+    /// # Errors
+    /// The needed number of samples when it is above [`MAX_GRID`].
+    pub fn new(display: &Display, needs: &SceneNeeds) -> Result<Self, usize> {
+        let tangent_per_px = display.pixel_pitch_cm / display.distance_cm;
+        let flip = |t: DVec2| DVec2::new(t.x, -t.y) / tangent_per_px;
+        let bounds = |[a, b]: [DVec2; 2]| (flip(a).min(flip(b)), flip(a).max(flip(b)));
+        let (cones_min, cones_max) = bounds(needs.cones);
+        let (sight_min, sight_max) = bounds(needs.sight);
+        let guard = needs.guard / tangent_per_px;
+        // A pixel at p is seen at p - sight: the window holds whatever comes within the guard of a cone.
+        let last = DVec2::new(f64::from(display.width_px), f64::from(display.height_px));
+        let from = (needs.centre_px + cones_min + sight_min - guard)
+            .floor()
+            .clamp(DVec2::ZERO, last);
+        let to = (needs.centre_px + cones_max + sight_max + guard)
+            .ceil()
+            .clamp(from, last);
+        let seen_from = from - needs.centre_px - sight_max;
+        let seen_to = to - needs.centre_px - sight_min;
+        let reach = (cones_max - seen_from).max(seen_to - cones_min).max(DVec2::ONE) + guard;
+        let period = [even(reach.x), even(reach.y)];
+        let per_px = 2.0 * needs.oversampling * needs.band * tangent_per_px;
+        let samples = period.map(|p| good_size((per_px * p as f64).ceil().max(16.0) as usize));
+        if let Some(&large) = samples.iter().find(|&&s| s > MAX_GRID) {
+            return Err(large);
+        }
+        Ok(Self {
+            first_px: [from.x as u32, from.y as u32],
+            size_px: [(to.x - from.x) as u32, (to.y - from.y) as u32],
+            period_px: period,
+            samples,
+            band: needs.band,
+            tangent_per_px,
+            centre_px: needs.centre_px,
+        })
+    }
+
+    /// Pixels from the window's corner, of a point of the screen in unit tangents (y up).
+    pub fn window_px(&self, tangent: DVec2) -> DVec2 {
+        let corner = DVec2::new(f64::from(self.first_px[0]), f64::from(self.first_px[1]));
+        self.centre_px + DVec2::new(tangent.x, -tangent.y) / self.tangent_per_px - corner
+    }
+
+    /// Tangent coordinates (y up) of a point in pixels from the window's corner: the inverse of [`Scene::window_px`].
+    pub fn tangent(&self, window_px: DVec2) -> DVec2 {
+        let corner = DVec2::new(f64::from(self.first_px[0]), f64::from(self.first_px[1]));
+        let from_centre = (window_px + corner - self.centre_px) * self.tangent_per_px;
+        DVec2::new(from_centre.x, -from_centre.y)
+    }
+
+    /// Samples in a pixel pitch.
+    pub fn samples_per_px(&self) -> DVec2 {
+        DVec2::new(
+            self.samples[0] as f64 / self.period_px[0] as f64,
+            self.samples[1] as f64 / self.period_px[1] as f64,
+        )
+    }
+}
+
+/// The next even whole number of pixels.
+fn even(px: f64) -> usize {
+    ((px / 2.0).ceil() as usize).max(1) * 2
+}
+
+/// The next even size whose only prime factors are 2, 3 and 5.
+fn good_size(at_least: usize) -> usize {
+    let smooth = |mut n: usize| {
+        for p in [2, 3, 5] {
+            while n.is_multiple_of(p) {
+                n /= p;
+            }
+        }
+        n == 1
+    };
+    (at_least.next_multiple_of(2)..)
+        .step_by(2)
+        .find(|&n| smooth(n))
+        .unwrap_or(at_least)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_smooth() {
+        assert_eq!([16, 17, 91, 641].map(good_size), [16, 18, 96, 648]);
+    }
+}

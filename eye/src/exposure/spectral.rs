@@ -1,0 +1,155 @@
+//! Spectral weights of the kernels: what share of a primary's photons, at each wavelength node, is caught by each kind of cone.
+//!
+//! For primary k, wavelength node m, kind T and eccentricity e:
+//! `w = Σ_i share_k(λ_i) hat_m(λ_i) τ_cornea(λ_i) τ_lens(λ_i) τ_macula(λ_i, e) q_T(λ_i, e)` over the samples of the spectrum,
+//! with `q = J·2/3` for L, M, S and 1 for [`Kind::Arriving`]. hat_m is the linear interpolation between nodes, so only the
+//! optical transfer is interpolated in wavelength, never the spectra.
+
+use serde::{Deserialize, Serialize};
+
+use crate::cone::{ISOMERIZATION, pigment::Pigments};
+use crate::media::Media;
+use crate::retina::ConeType;
+
+/// What a kernel counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Isomerizations in a cone of this type.
+    Isomerized(ConeType),
+    /// Photons that arrive at the cones, whatever becomes of them.
+    Arriving,
+}
+
+/// The kinds, in the order of all tables.
+pub const KINDS: [Kind; 4] = [
+    Kind::Isomerized(ConeType::L),
+    Kind::Isomerized(ConeType::M),
+    Kind::Isomerized(ConeType::S),
+    Kind::Arriving,
+];
+
+/// Share of a primary's photons at a wavelength.
+pub type Share = (f64, f64);
+
+/// What absorbs on the way.
+#[derive(Clone, Debug)]
+pub struct Absorbers {
+    /// Cornea, lens and macula.
+    pub media: Media,
+    /// Cone pigments.
+    pub pigments: Pigments,
+}
+
+/// Path lengths relative to the axial thicknesses.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Paths {
+    /// In the cornea.
+    pub cornea: f64,
+    /// In the lens.
+    pub lens: f64,
+}
+
+impl Absorbers {
+    /// Share of photons of a wavelength that passes all media.
+    pub fn passed(&self, nm: f64, ecc_deg: f64, paths: Paths) -> f64 {
+        self.media.cornea(nm, paths.cornea) * self.media.lens(nm, paths.lens) * self.media.macula(nm, ecc_deg)
+    }
+
+    fn caught(&self, kind: Kind, nm: f64, ecc_deg: f64) -> f64 {
+        match kind {
+            Kind::Isomerized(cone) => ISOMERIZATION * self.pigments.absorptance(cone, nm, ecc_deg),
+            Kind::Arriving => 1.0,
+        }
+    }
+
+    /// Share of photons of a wavelength that passes the media and is caught.
+    pub fn caught_at(&self, kind: Kind, nm: f64, ecc_deg: f64, paths: Paths) -> f64 {
+        self.passed(nm, ecc_deg, paths) * self.caught(kind, nm, ecc_deg)
+    }
+
+    /// Weights `[node]` of one primary, kind and eccentricity.
+    pub fn weights(
+        &self,
+        shares: &[Share],
+        nodes_nm: &[f64],
+        kind: Kind,
+        ecc_deg: f64,
+        paths: Paths,
+    ) -> Vec<f64> {
+        let mut weights = vec![0.0; nodes_nm.len()];
+        for &(nm, share) in shares {
+            let caught = share * self.caught_at(kind, nm, ecc_deg, paths);
+            let above = nodes_nm
+                .partition_point(|&node| node < nm)
+                .min(nodes_nm.len() - 1);
+            let below = above.saturating_sub(1);
+            let span = nodes_nm[above] - nodes_nm[below];
+            let t = if span > 0.0 {
+                ((nm - nodes_nm[below]) / span).clamp(0.0, 1.0)
+            } else {
+                1.0
+            };
+            weights[below] += (1.0 - t) * caught;
+            weights[above] += t * caught;
+        }
+        weights
+    }
+}
+
+/// Wavelength nodes: both ends of every stretch of light, and equal steps of at most `step_nm` between. A single line gets one
+/// node.
+pub fn wavelength_nodes(mut lit_nm: Vec<f64>, step_nm: f64) -> Vec<f64> {
+    lit_nm.sort_by(f64::total_cmp);
+    let mut nodes = Vec::new();
+    let mut start = 0;
+    for i in 0..lit_nm.len() {
+        let last = i + 1 == lit_nm.len();
+        if !last && lit_nm[i + 1] - lit_nm[i] <= step_nm {
+            continue;
+        }
+        let (from, to) = (lit_nm[start], lit_nm[i]);
+        let steps = ((to - from) / step_nm - 1e-9).ceil().max(0.0) as usize;
+        nodes.extend((0..=steps).map(|s| from + (to - from) * s as f64 / steps.max(1) as f64));
+        start = i + 1;
+    }
+    nodes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_exact_and_bands_are_stepped() {
+        assert_eq!(wavelength_nodes(vec![543.0], 10.0), vec![543.0]);
+        assert_eq!(
+            wavelength_nodes(vec![630.0, 467.0, 532.0], 10.0),
+            vec![467.0, 532.0, 630.0]
+        );
+        let band: Vec<f64> = (0..=40).map(|i| 400.0 + 0.5 * f64::from(i)).collect();
+        assert_eq!(wavelength_nodes(band, 10.0), vec![400.0, 410.0, 420.0]);
+        assert!(wavelength_nodes(Vec::new(), 10.0).is_empty());
+    }
+
+    #[test]
+    fn weights_sum_to_the_direct_integral() {
+        let absorbers = Absorbers {
+            media: Media::new(1.0, 0.4).unwrap(),
+            pigments: Pigments::new().unwrap(),
+        };
+        let paths = Paths {
+            cornea: 1.0,
+            lens: 1.0,
+        };
+        let shares: Vec<Share> = (0..=300).map(|i| (400.0 + f64::from(i), 1.0 / 301.0)).collect();
+        let nodes = wavelength_nodes(shares.iter().map(|s| s.0).collect(), 10.0);
+        for kind in KINDS {
+            let weights = absorbers.weights(&shares, &nodes, kind, 0.3, paths);
+            let direct: f64 = shares
+                .iter()
+                .map(|&(nm, s)| s * absorbers.caught_at(kind, nm, 0.3, paths))
+                .sum();
+            assert!((weights.iter().sum::<f64>() / direct - 1.0).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! A prescription in a state (pupil, accommodation, dispersion, side): the eye that rays are traced through.
+
+use super::cardinal::Cardinal;
+use super::error::{OpticsError, in_range};
+use super::object::Object;
+use super::prescription::{Dispersion, Prescription, Side};
+use super::retina_frame::Fovea;
+use super::surface::Conic;
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+/// What changes from moment to moment, or from question to question.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EyeState {
+    /// Entrance pupil diameter, mm, 0.5 to 9; the stop is smaller by the magnification of the unaccommodated eye at the
+    /// reference wavelength (1.1334061), at every wavelength.
+    pub pupil_mm: f64,
+    /// Decentre of the stop towards −y (nasal pupil), mm, −1 to 1.
+    pub decentre_mm: f64,
+    /// Nominal accommodation of Navarro's law, −2 to 12; 0 is unaccommodated.
+    pub accommodation_a: f64,
+    /// Dispersion law.
+    pub dispersion: Dispersion,
+    /// Which eye.
+    pub side: Side,
+}
+
+/// An eye ready to trace.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SchematicEye {
+    pub(super) prescription: Prescription,
+    pub(super) state: EyeState,
+    pub(super) surfaces: [Conic; 5],
+    pub(super) stop_z: f64,
+    pub(super) stop_radius_mm: f64,
+    stop_magnification: f64,
+    lens_index_shift: f64,
+    thickness_mm: [f64; 4],
+    pub(super) exit_pupil: DVec3,
+    pub(super) entrance_pupil: DVec3,
+    object_distance_mm: f64,
+    fovea: Fovea,
+}
+
+impl SchematicEye {
+    /// The eye of a prescription in a state, with its foveal centre for objects at infinity; see
+    /// [`SchematicEye::at_distance`].
+    ///
+    /// # Errors
+    /// [`OpticsError::OutOfRange`] names the field; [`OpticsError::NoRay`] when no chief ray reaches the retina.
+    pub fn new(p: &Prescription, s: &EyeState) -> Result<Self, OpticsError> {
+        p.validate()?;
+        in_range("pupil_mm", s.pupil_mm, 0.5, 9.0)?;
+        in_range("decentre_mm", s.decentre_mm, -1.0, 1.0)?;
+        in_range("accommodation_a", s.accommodation_a, -2.0, 12.0)?;
+        let stop_magnification = Self::relaxed_magnification(p, s);
+        let eye = Self::build(p, s, s.pupil_mm / stop_magnification / 2.0, stop_magnification);
+        eye.at_distance(f64::INFINITY)
+    }
+
+    /// The same eye with its foveal centre defined by an object at `distance_mm` from the corneal apex (50 mm to ∞).
+    ///
+    /// # Errors
+    /// As [`SchematicEye::new`].
+    pub fn at_distance(mut self, distance_mm: f64) -> Result<Self, OpticsError> {
+        in_range("object distance (mm)", distance_mm, 50.0, f64::INFINITY)?;
+        let object = Object::field(self.prescription.fovea_angle_deg, 1e3 / distance_mm)?;
+        let chief = self.chief_ray(object, self.prescription.reference_wavelength_nm)?;
+        let landing = chief.landing().ok_or(OpticsError::NoRay {
+            angle_deg: self.prescription.fovea_angle_deg,
+        })?;
+        self.object_distance_mm = distance_mm;
+        self.fovea = Fovea::new(landing, self.retina_centre(), self.state.side);
+        Ok(self)
+    }
+
+    fn relaxed_magnification(p: &Prescription, s: &EyeState) -> f64 {
+        let relaxed = EyeState {
+            accommodation_a: 0.0,
+            dispersion: Dispersion::Polyline,
+            ..*s
+        };
+        Self::build(p, &relaxed, 1.0, 1.0)
+            .cardinal(p.reference_wavelength_nm)
+            .stop_magnification
+    }
+
+    fn build(p: &Prescription, s: &EyeState, stop_radius_mm: f64, stop_magnification: f64) -> Self {
+        let (lens_front, lens_back, depth, lens_thickness, lens_index_shift) =
+            p.accommodated(s.accommodation_a);
+        let cornea = p.cornea_front.thickness_mm;
+        let length = p.axial_length_mm();
+        let stop_z = cornea + depth;
+        let back_z = stop_z + lens_thickness;
+        let conic = |vertex_z, radius, conic| Conic {
+            vertex_z,
+            radius,
+            conic,
+        };
+        let surfaces = [
+            conic(0.0, p.cornea_front.radius_mm, p.cornea_front.conic),
+            conic(cornea, p.cornea_back.radius_mm, p.cornea_back.conic),
+            conic(stop_z, lens_front.0, lens_front.1),
+            conic(back_z, lens_back.0, lens_back.1),
+            conic(length, p.retina_radius_mm, 0.0),
+        ];
+        let centre = DVec3::new(0.0, 0.0, length + p.retina_radius_mm);
+        let mut eye = Self {
+            prescription: p.clone(),
+            state: *s,
+            surfaces,
+            stop_z,
+            stop_radius_mm,
+            stop_magnification,
+            lens_index_shift,
+            thickness_mm: [cornea, depth, lens_thickness, length - back_z],
+            exit_pupil: DVec3::ZERO,
+            entrance_pupil: DVec3::ZERO,
+            object_distance_mm: f64::INFINITY,
+            fovea: Fovea::new(centre + DVec3::new(0.0, 0.0, -p.retina_radius_mm), centre, s.side),
+        };
+        let cardinal: Cardinal = eye.cardinal(p.reference_wavelength_nm);
+        let pupil = |m: f64, z| DVec3::new(0.0, -s.decentre_mm * m, z);
+        eye.entrance_pupil = pupil(cardinal.stop_magnification, cardinal.entrance_pupil_z_mm);
+        eye.exit_pupil = pupil(cardinal.exit_magnification, cardinal.exit_pupil_z_mm);
+        eye
+    }
+
+    /// Indices of air, cornea, aqueous, lens and vitreous at a vacuum wavelength (nm), in this state.
+    pub fn indices(&self, wavelength_nm: f64) -> [f64; 5] {
+        let mut n = self.prescription.indices(self.state.dispersion, wavelength_nm);
+        n[3] += self.lens_index_shift;
+        n
+    }
+
+    /// The foveal centre: where the chief ray at the reference wavelength lands that comes from the fovea's angle and
+    /// the object distance in use; with the frame of retinal positions.
+    pub fn fovea(&self) -> Fovea {
+        self.fovea
+    }
+
+    /// The object distance in use, mm from the corneal apex.
+    pub fn object_distance_mm(&self) -> f64 {
+        self.object_distance_mm
+    }
+
+    /// The prescription.
+    pub fn prescription(&self) -> &Prescription {
+        &self.prescription
+    }
+
+    /// The state.
+    pub fn state(&self) -> EyeState {
+        self.state
+    }
+
+    /// Centre of the stop, mm.
+    pub fn stop_centre(&self) -> DVec3 {
+        DVec3::new(0.0, -self.state.decentre_mm, self.stop_z)
+    }
+
+    /// Radius of the physical stop, mm.
+    pub fn stop_radius_mm(&self) -> f64 {
+        self.stop_radius_mm
+    }
+
+    /// Entrance pupil diameter / stop diameter (unaccommodated, reference wavelength).
+    pub fn stop_magnification(&self) -> f64 {
+        self.stop_magnification
+    }
+
+    /// Axial thickness of cornea, aqueous, lens and vitreous in this state, mm.
+    pub fn thickness_mm(&self) -> [f64; 4] {
+        self.thickness_mm
+    }
+
+    /// Centre of the paraxial exit pupil at the reference wavelength, mm.
+    pub fn exit_pupil_centre(&self) -> DVec3 {
+        self.exit_pupil
+    }
+
+    /// Centre of the retinal sphere, mm.
+    pub fn retina_centre(&self) -> DVec3 {
+        DVec3::new(0.0, 0.0, self.surfaces[4].vertex_z + self.surfaces[4].radius)
+    }
+
+    /// Centre of rotation of the eye, mm: behind the apex and towards the nose (nasal is −y in either eye).
+    pub fn rotation_centre(&self) -> DVec3 {
+        DVec3::new(
+            0.0,
+            -self.prescription.rotation_centre_nasal_mm,
+            self.prescription.rotation_centre_behind_apex_mm,
+        )
+    }
+
+    /// Unit vectors of the viewer's right, the viewer's up and the way the light of the fixated point travels, in the
+    /// eye frame.
+    pub fn view_axes(&self) -> [DVec3; 3] {
+        let (sin, cos) = self.prescription.fovea_angle_deg.to_radians().sin_cos();
+        let temporal = DVec3::new(0.0, cos, -sin);
+        let forward = DVec3::new(0.0, sin, cos);
+        match self.state.side {
+            Side::Right => [temporal, DVec3::NEG_X, forward],
+            Side::Left => [-temporal, DVec3::X, forward],
+        }
+    }
+}

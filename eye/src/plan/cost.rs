@@ -1,0 +1,105 @@
+//! Predicted cost: CPU seconds and bytes from the counts that drive them. Constants were measured on one core of a 2026 server.
+
+use super::setup::Setup;
+use crate::experiment::{Engine, Experiment};
+use crate::exposure::KernelSpec;
+use crate::retina::density_per_mm2;
+
+/// CPU seconds per cone built, mosaic and cells.
+const SECONDS_PER_CONE: f64 = 10e-6;
+/// CPU seconds per transfer table (field node x wavelength) at 3 mm.
+const SECONDS_PER_TRANSFER: f64 = 8e-3;
+/// CPU seconds per photon of the `paper` engine.
+const SECONDS_PER_PHOTON: f64 = 0.3e-6;
+/// CPU seconds per point spread of the `paper` engine, at 1024 rays and 128 x 128 samples.
+const SECONDS_PER_SPREAD: f64 = 0.06;
+/// Basis images, about.
+const IMAGES: f64 = 12.0;
+/// CPU seconds per grid sample and basis image.
+const SECONDS_PER_SAMPLE: f64 = 25e-9;
+
+/// A prediction.
+#[derive(Clone, Copy, Debug)]
+pub struct Cost {
+    /// Cones in the patch.
+    pub cones: f64,
+    /// CPU seconds for the mosaic.
+    pub tiles_seconds: f64,
+    /// Bytes of the mosaic.
+    pub tiles_bytes: f64,
+    /// Bytes of the cones.
+    pub cones_bytes: f64,
+    /// CPU seconds for the kernels.
+    pub kernel_seconds: f64,
+    /// Bytes of the kernels.
+    pub kernel_bytes: f64,
+    /// CPU seconds of everything.
+    pub seconds: f64,
+    /// Memory, bytes.
+    pub bytes: f64,
+}
+
+/// Predicts the cost of an experiment without cached artifacts.
+pub fn predict(experiment: &Experiment, setup: &Setup, kernels: &KernelSpec) -> Cost {
+    let cones = cones_in(setup);
+    let size = setup.region.max - setup.region.min;
+    // Tiles are whole: the mosaic is built out to their edges and a halo beyond.
+    let tiles_share = (size.x + 256.0) * (size.y + 256.0) / (size.x * size.y).max(1.0);
+    let tiles_seconds = cones * tiles_share * SECONDS_PER_CONE;
+    let pupil = (experiment.eye.pupil_mm / 3.0).max(0.5);
+    let transfers =
+        f64::from(kernels.field_nodes[0] * kernels.field_nodes[1]) * kernels.nodes_nm.len() as f64;
+    let kernel_seconds = transfers * SECONDS_PER_TRANSFER * pupil * pupil;
+    let samples = setup.scene.samples.iter().product::<usize>() as f64;
+    let frames = f64::from(experiment.frames);
+    let frame_seconds = match experiment.counts.engine {
+        Engine::Expected => samples * IMAGES * SECONDS_PER_SAMPLE + cones * 1.5e-6,
+        Engine::Paper => photons_per_frame(experiment) * SECONDS_PER_PHOTON,
+    };
+    let prepare_seconds = match experiment.counts.engine {
+        Engine::Expected => cones * 8e-6 + samples * IMAGES * SECONDS_PER_SAMPLE,
+        Engine::Paper => {
+            let rays = f64::from(experiment.counts.paper.rays) / 1024.0;
+            let side = f64::from(experiment.counts.paper.samples) / 128.0;
+            let nodes = (size.x / 300.0 + 2.0) * (size.y / 300.0 + 2.0);
+            nodes * kernels.nodes_nm.len() as f64 * SECONDS_PER_SPREAD * rays * side * side
+        }
+    };
+    let kernel_bytes = IMAGES * kernels.primaries.len() as f64 * kernels.shape.len() as f64 * 16.0;
+    let cones_bytes = cones * 140.0;
+    let images_bytes = samples * IMAGES * (2.0 * kernels.primaries.len() as f64 + 4.0) + 4.0 * samples * 16.0;
+    Cost {
+        cones,
+        tiles_seconds,
+        tiles_bytes: cones_bytes * tiles_share,
+        cones_bytes,
+        kernel_seconds,
+        kernel_bytes,
+        seconds: tiles_seconds + kernel_seconds + prepare_seconds + frames * frame_seconds,
+        bytes: 60e6 + 2.0 * cones_bytes * tiles_share + cones * 900.0 + 3.0 * kernel_bytes + images_bytes,
+    }
+}
+
+/// Cones in the patch: the target density summed over a grid of 40 x 40 points.
+fn cones_in(setup: &Setup) -> f64 {
+    const STEPS: u32 = 40;
+    let size = setup.region.max - setup.region.min;
+    let mut density = 0.0;
+    for i in 0..STEPS {
+        for j in 0..STEPS {
+            let part = glam::DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5) / f64::from(STEPS);
+            let at = setup.region.min + size * part;
+            density += density_per_mm2(&setup.retina, at.x, at.y);
+        }
+    }
+    density / f64::from(STEPS * STEPS) * size.x * size.y * 1e-6
+}
+
+/// Photons of a white frame into the pupil.
+fn photons_per_frame(experiment: &Experiment) -> f64 {
+    let display = &experiment.display;
+    let per_pixel = crate::display::emitters(display)
+        .map_or(0.0, |e| e.iter().map(crate::display::Emitter::emitted).sum());
+    let pixels = f64::from(display.width_px) * f64::from(display.height_px);
+    0.5 * per_pixel * pixels * crate::display::pupil_share(display, experiment.eye.pupil_mm)
+}

@@ -1,0 +1,120 @@
+//! What a scene does not need, with the reason and a bound on the relative error of the mean per cone.
+
+use super::Omission;
+use super::setup::Setup;
+use super::wavelengths::Wavelengths;
+use crate::experiment::{Experiment, Movement};
+use crate::media::MACULA_EDGE_DEG;
+
+/// Energy of a diffraction-limited spread beyond a radius R is about λ/(π² NA R); λ in the vitreous over NA, µm, at 3 mm.
+const TAIL_UM: f64 = 0.62;
+/// Half bleaching, trolands (§20).
+const HALF_BLEACH_TD: f64 = 19_953.0;
+
+/// The omissions of an experiment.
+pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -> Vec<Omission> {
+    let mut list = vec![
+        omission(
+            "cones outside the patch",
+            &format!(
+                "the picture, its blur and its movement fall within x {:.0} to {:.0}, y {:.0} to {:.0} µm of the foveal centre",
+                setup.region.min.x, setup.region.max.x, setup.region.min.y, setup.region.max.y
+            ),
+            0.0,
+        ),
+        omission(
+            "wavelengths without light that a cone can catch",
+            &format!(
+                "{} of 390 to 830 nm is computed at {} wavelengths; light beyond is kept at the nearest",
+                range(&wavelengths.nodes_nm),
+                wavelengths.nodes_nm.len()
+            ),
+            wavelengths.outside,
+        ),
+        omission(
+            "copies of the picture beyond the guard distance",
+            &format!(
+                "the image is periodic; the nearest copy is {:.0} µm from any cone",
+                setup.guard_um
+            ),
+            0.5 * TAIL_UM * 3.0 / experiment.eye.pupil_mm / setup.guard_um,
+        ),
+        omission(
+            "light scattered in the eye",
+            "scattered light is thrown away, as in §19; it would add a faint veil over the whole field",
+            0.1,
+        ),
+        omission(
+            "bleaching",
+            "pigments are taken as unbleached, as in §20",
+            bleached(experiment),
+        ),
+    ];
+    let cutoff = super::setup::cutoff(experiment);
+    if setup.scene.band < cutoff {
+        let kept = setup.scene.band * std::f64::consts::PI / 180.0;
+        list.push(omission(
+            "spatial frequencies that blur and apertures average away",
+            &format!("frequencies up to {kept:.0} cycles per degree are kept"),
+            0.15 * experiment.accuracy_target,
+        ));
+    }
+    let still = match experiment.gaze.movement {
+        Movement::Still => true,
+        Movement::Drift {
+            speed_arcmin_per_s, ..
+        } => speed_arcmin_per_s <= 0.0,
+    };
+    if still {
+        list.push(omission("motion blur", "the eye does not move", 0.0));
+    }
+    let nearest = glam::DVec2::ZERO
+        .clamp(setup.region.min, setup.region.max)
+        .length();
+    if nearest / super::setup::UM_PER_TANGENT > MACULA_EDGE_DEG.to_radians() {
+        list.push(omission("macular pigment", "the patch lies beyond its edge", 0.0));
+    }
+    if experiment.eye.stiles_crawford_rho10_per_mm2 <= 0.0 {
+        let lost = 0.05 * std::f64::consts::LN_10 * experiment.eye.pupil_mm.powi(2) / 8.0;
+        list.push(omission(
+            "directional sensitivity of the cones",
+            "the experiment switches it off",
+            lost.min(1.0),
+        ));
+    }
+    list
+}
+
+fn omission(what: &str, why: &str, bound: f64) -> Omission {
+    Omission {
+        what: what.into(),
+        why: why.into(),
+        bound,
+    }
+}
+
+fn range(nm: &[f64]) -> String {
+    match nm {
+        [] => "nothing".into(),
+        [only] => format!("{only:.1} nm"),
+        [first, .., last] => format!("{first:.0} to {last:.0} nm"),
+    }
+}
+
+/// Share of pigment bleached by a steady white screen: I/(I + I0).
+fn bleached(experiment: &Experiment) -> f64 {
+    use crate::display::White;
+    let display = &experiment.display;
+    let luminance = match display.white {
+        White::LuminanceCdM2(l) => l,
+        White::Lumens(flux) => {
+            let pitch_m2 = (display.pixel_pitch_cm / 100.0).powi(2);
+            flux / (f64::from(display.width_px)
+                * f64::from(display.height_px)
+                * pitch_m2
+                * std::f64::consts::PI)
+        }
+    };
+    let trolands = luminance * std::f64::consts::FRAC_PI_4 * experiment.eye.pupil_mm.powi(2);
+    trolands / (trolands + HALF_BLEACH_TD)
+}

@@ -1,0 +1,215 @@
+//! From an experiment to the geometry of its scene: focused eye, screen, patch of retina, window and grid.
+//!
+//! Both the planner and the engines call this, so a plan says what is run.
+
+use glam::DVec2;
+
+use super::PlanError;
+use crate::experiment::{Experiment, MAX_REGION_DEG, RangeError};
+use crate::exposure::scene::{MAX_GRID, Scene, SceneNeeds};
+use crate::movement::Gaze;
+use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
+use crate::retina::{Generator, RegionUm, RetinaGeometry, RetinaParams};
+
+/// Retina beyond the picture's edge that is simulated because the picture's blur falls on it, µm.
+const MARGIN_UM: f64 = 75.0;
+/// µm of retina per unit tangent at the fovea, for distances that need no better.
+pub(super) const UM_PER_TANGENT: f64 = 16_440.0;
+/// Samples per two cycles of the highest frequency.
+const OVERSAMPLING: f64 = 1.25;
+/// S cones keep this share of their mean spacing free of each other.
+const S_REPULSION: f64 = 0.5;
+
+/// The geometry of a scene.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// The eye's data.
+    pub prescription: Prescription,
+    /// Pupil, focus, dispersion.
+    pub state: EyeState,
+    /// The screen before the focused eye.
+    pub projection: Projection,
+    /// Eye movement.
+    pub gaze: Gaze,
+    /// The patch of retina.
+    pub region: RegionUm,
+    /// Window and grid.
+    pub scene: Scene,
+    /// The mosaic's parameters.
+    pub retina: RetinaParams,
+    /// Distance between a cone and the nearest copy of the picture, µm.
+    pub guard_um: f64,
+}
+
+/// The geometry of an experiment's scene.
+///
+/// # Errors
+/// When the optics refuse, the eye turns too far, or the scene is larger than what is served; the error names the field.
+pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
+    let (prescription, state) = focused_eye(experiment)?;
+    let model = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
+    let eye = SchematicEye::new(&prescription, &state).map_err(model)?;
+    let projection = Projection::new(&eye, experiment.display.distance_cm * 10.0).map_err(model)?;
+    let seconds = f64::from(experiment.frames) / experiment.display.frame_rate_hz;
+    let gaze = Gaze::new(experiment.gaze.movement, experiment.display.distance_cm, seconds)?;
+    let sight_end = gaze.screen_tangent(seconds);
+    let sight = [DVec2::ZERO.min(sight_end), DVec2::ZERO.max(sight_end)];
+    let region = region(experiment, &projection, sight)?;
+    let guard_um = if experiment.accuracy_target >= 0.005 {
+        150.0
+    } else {
+        300.0
+    };
+    let needs = SceneNeeds {
+        centre_px: DVec2::from_array(experiment.gaze.center_px),
+        cones: screen_bounds(&projection, &region)?,
+        sight,
+        guard: guard_um / UM_PER_TANGENT,
+        band: band(experiment),
+        oversampling: OVERSAMPLING,
+    };
+    let scene = Scene::new(&experiment.display, &needs).map_err(|samples| {
+        let allowed = format!("a scene of at most {MAX_GRID} grid samples a side, here it would be {samples}; give a smaller retina.region_deg or less movement");
+        RangeError::new("retina.region_deg", "the scene", &allowed)
+    })?;
+    let retina = retina_params(experiment, &projection)?;
+    Ok(Setup {
+        prescription,
+        state,
+        projection,
+        gaze,
+        region,
+        scene,
+        retina,
+        guard_um,
+    })
+}
+
+fn retina_params(experiment: &Experiment, _projection: &Projection) -> Result<RetinaParams, PlanError> {
+    let params = RetinaParams {
+        seed: experiment.retina.seed,
+        generator: match experiment.retina.generator {
+            crate::experiment::Generator::Domain => Generator::Domain,
+        },
+        peak_density_per_mm2: experiment.retina.peak_density_per_mm2,
+        cone_ratio: experiment.retina.cone_ratio,
+        s_repulsion: S_REPULSION,
+        pointing_sd_deg: experiment.eye.pointing_sd_deg,
+        geometry: RetinaGeometry::default(),
+    };
+    params.validate().map_err(|e| PlanError::Model(e.to_string()))?;
+    Ok(params)
+}
+
+/// The prescription and the state in which it is focused as the experiment asks.
+fn focused_eye(experiment: &Experiment) -> Result<(Prescription, EyeState), PlanError> {
+    let eye = &experiment.eye;
+    let model = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
+    let prescription = Prescription::preset(&eye.preset).map_err(model)?;
+    let mut state = EyeState {
+        pupil_mm: eye.pupil_mm,
+        decentre_mm: eye.decentre_mm,
+        accommodation_a: 0.0,
+        dispersion: eye.dispersion,
+        side: eye.side,
+    };
+    let distance_mm = eye.focus_distance_cm * 10.0;
+    state.accommodation_a =
+        SchematicEye::accommodation_for(&prescription, &state, distance_mm, eye.focus_wavelength_nm)
+            .map_err(model)?;
+    Ok((prescription, state))
+}
+
+/// Highest frequency of the eye at the shortest wavelength, cycles per unit tangent; 5 % above pupil over wavelength, because the
+/// pupil seen from the field is not exactly round.
+pub(super) fn cutoff(experiment: &Experiment) -> f64 {
+    1.05 * experiment.eye.pupil_mm * 1e6 / crate::spectrum::MIN_NM
+}
+
+/// Highest frequency kept: the eye's own, or where aperture and blur have left less than the accuracy target.
+fn band(experiment: &Experiment) -> f64 {
+    let cycles_per_degree = if experiment.accuracy_target >= 0.005 {
+        90.0
+    } else if experiment.accuracy_target >= 5e-4 {
+        130.0
+    } else {
+        f64::INFINITY
+    };
+    cutoff(experiment).min(cycles_per_degree * 180.0 / std::f64::consts::PI)
+}
+
+/// The patch of retina: fixed by the experiment, or what the picture, its blur and the movement cover.
+fn region(
+    experiment: &Experiment,
+    projection: &Projection,
+    sight: [DVec2; 2],
+) -> Result<RegionUm, PlanError> {
+    let tangent = |deg: f64| deg.to_radians().tan();
+    let (corners, margin) = if let Some([x0, x1, y0, y1]) = experiment.retina.region_deg {
+        (
+            [
+                DVec2::new(tangent(x0), tangent(y0)),
+                DVec2::new(tangent(x1), tangent(y1)),
+            ],
+            0.0,
+        )
+    } else {
+        let display = &experiment.display;
+        let per_px = display.pixel_pitch_cm / display.distance_cm;
+        let size = DVec2::new(f64::from(display.width_px), f64::from(display.height_px));
+        let centre = DVec2::from_array(experiment.gaze.center_px);
+        let (from, to) = (-centre * per_px, (size - centre) * per_px);
+        let picture = [
+            DVec2::new(from.x, -to.y) - sight[1],
+            DVec2::new(to.x, -from.y) - sight[0],
+        ];
+        (picture, MARGIN_UM)
+    };
+    let most = tangent(MAX_REGION_DEG);
+    let extent = corners[0].abs().max(corners[1].abs()).max_element();
+    if extent > most {
+        let allowed = format!(
+            "within {MAX_REGION_DEG}° of the gaze centre; here the picture with its movement reaches {:.2}°, give retina.region_deg",
+            extent.atan().to_degrees()
+        );
+        return Err(RangeError::new("retina.region_deg", "the picture", &allowed).into());
+    }
+    let (mut min, mut max) = (DVec2::MAX, DVec2::MIN);
+    for t in edge_points(corners) {
+        let um = projection
+            .retina_um(t, 543.0)
+            .map_err(|e| PlanError::Model(e.to_string()))?;
+        (min, max) = (min.min(um), max.max(um));
+    }
+    Ok(RegionUm {
+        min: min - margin,
+        max: max + margin,
+    })
+}
+
+/// Rectangle of the screen that holds everything imaged on a patch and on the apertures that stick out of it.
+fn screen_bounds(projection: &Projection, region: &RegionUm) -> Result<[DVec2; 2], PlanError> {
+    const APERTURES_UM: f64 = 8.0;
+    let (mut min, mut max) = (DVec2::MAX, DVec2::MIN);
+    for um in edge_points([region.min - APERTURES_UM, region.max + APERTURES_UM]) {
+        let t = projection
+            .screen_tangent(um)
+            .map_err(|e| PlanError::Model(e.to_string()))?;
+        (min, max) = (min.min(t), max.max(t));
+    }
+    Ok([min, max])
+}
+
+/// Points along the edges of a rectangle.
+fn edge_points([a, b]: [DVec2; 2]) -> Vec<DVec2> {
+    const STEPS: u32 = 4;
+    let mut points = Vec::new();
+    for i in 0..=STEPS {
+        let t = f64::from(i) / f64::from(STEPS);
+        for side in [0.0, 1.0] {
+            points.push(DVec2::new(a.x + (b.x - a.x) * t, a.y + (b.y - a.y) * side));
+            points.push(DVec2::new(a.x + (b.x - a.x) * side, a.y + (b.y - a.y) * t));
+        }
+    }
+    points
+}

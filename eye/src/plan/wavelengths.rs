@@ -1,0 +1,82 @@
+//! Which wavelengths a scene needs: those that a primary emits and a cone can catch.
+
+use crate::display::Emitter;
+use crate::experiment::Experiment;
+use crate::exposure::spectral::{Absorbers, KINDS, Kind, Paths, wavelength_nodes};
+
+/// Wavelength nodes and what was left out.
+#[derive(Clone, Debug)]
+pub struct Wavelengths {
+    /// Nodes, nm.
+    pub nodes_nm: Vec<f64>,
+    /// Largest share of any cone type's catch from any primary that lies outside the nodes' range (it is kept at the end nodes).
+    pub outside: f64,
+    /// Spacing, nm.
+    pub step_nm: f64,
+}
+
+/// Chooses nodes for the emitters of a display. `tail` is the share of a catch that may lie beyond either end.
+pub fn choose(
+    experiment: &Experiment,
+    emitters: &[Emitter],
+    absorbers: &Absorbers,
+    tail: f64,
+) -> Wavelengths {
+    let step_nm = experiment
+        .counts
+        .wavelength_step_nm
+        .unwrap_or(match experiment.accuracy_target {
+            t if t >= 5e-3 => 10.0,
+            t if t >= 5e-4 => 5.0,
+            _ => 2.5,
+        });
+    let paths = Paths {
+        cornea: 1.0,
+        lens: 1.0,
+    };
+    // Share of the catch of each cone type from each primary, by wavelength; the largest over both decides.
+    let mut catches: Vec<(f64, f64)> = Vec::new();
+    for emitter in emitters {
+        let per_kind: Vec<Vec<f64>> = KINDS
+            .iter()
+            .filter(|kind| !matches!(kind, Kind::Arriving))
+            .map(|kind| {
+                emitter
+                    .photons
+                    .iter()
+                    .map(|p| p.emitted * absorbers.caught_at(*kind, p.nm, 0.0, paths))
+                    .collect()
+            })
+            .collect();
+        let totals: Vec<f64> = per_kind.iter().map(|c: &Vec<f64>| c.iter().sum()).collect();
+        let most = totals.iter().copied().fold(0.0, f64::max);
+        for (i, photon) in emitter.photons.iter().enumerate() {
+            let seen = per_kind
+                .iter()
+                .zip(&totals)
+                .filter(|(_, total)| **total > 1e-4 * most);
+            let share = seen.map(|(c, total)| c[i] / total).fold(0.0, f64::max);
+            catches.push((photon.nm, share));
+        }
+    }
+    catches.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let cut = |shares: &mut dyn Iterator<Item = f64>| {
+        let mut sum = 0.0;
+        shares
+            .take_while(|s| {
+                sum += s;
+                sum <= tail
+            })
+            .count()
+    };
+    let from = cut(&mut catches.iter().map(|c| c.1));
+    let to = catches.len()
+        - cut(&mut catches.iter().rev().map(|c| c.1)).min(catches.len().saturating_sub(from + 1));
+    let outside = catches[..from].iter().chain(&catches[to..]).map(|c| c.1).sum();
+    let lit = catches[from.min(to)..to].iter().map(|c| c.0).collect();
+    Wavelengths {
+        nodes_nm: wavelength_nodes(lit, step_nm),
+        outside,
+        step_nm,
+    }
+}

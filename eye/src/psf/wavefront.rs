@@ -1,0 +1,370 @@
+//! The wavefront of one object point and wavelength as polynomials over the pupil (§21).
+//!
+//! Pupil coordinates s: q = centre + axes·s, an affine map that takes the pupil to nearly the unit disc; q are the
+//! direction cosines on the reference sphere along the retina's tangents (see [`crate::optics::bundle`]). Over s stand
+//! * the path difference W(s), µm of vitreous, and
+//! * the amplitude A(s) per ds: `Flux` A² = d(flux)/ds, so that ∫|field|² is the flux; `Uniform` A = d(stop area)/ds,
+//!   every part of the stop weighs the same (ray-counting packages do this).
+//!
+//! A Stiles–Crawford apodization multiplies the amplitude by 10^(−ρ r²/2), r in mm of the entrance pupil.
+
+use super::chords::Chords;
+use super::least_squares::fit;
+use super::outline::Outline;
+use super::polynomial::{Polynomial2, count};
+use super::quadrature::gauss_legendre;
+use super::sincos::sin_cos_turns;
+use crate::optics::{Object, OpticsError, PupilBundle, PupilNodes, SchematicEye};
+use glam::{DMat2, DVec2, DVec3};
+use rustfft::num_complex::Complex64;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::{FRAC_PI_2, PI};
+
+/// What the amplitude over the pupil follows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Amplitude {
+    /// √ of the ray map's Jacobian: each tube of rays keeps its flux.
+    #[default]
+    Flux,
+    /// The area of the stop weighs evenly.
+    Uniform,
+}
+
+/// Directional sensitivity of the cones, put into the pupil.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StilesCrawfordApodization {
+    /// ρ of 10^(−ρ r²), per mm² of entrance pupil.
+    pub rho_base10_per_mm2: f64,
+}
+
+/// How a wavefront is made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct WavefrontOptions {
+    /// Amplitude over the pupil.
+    pub amplitude: Amplitude,
+    /// Directional sensitivity, if any.
+    pub stiles_crawford: Option<StilesCrawfordApodization>,
+    /// Degree of the polynomials; by default 8 to 4 mm of pupil, 12 beyond.
+    pub degree: Option<usize>,
+    /// Gauss nodes in r²; by default as many as the degree asks.
+    pub radial_nodes: Option<usize>,
+    /// Azimuths; by default as many as the degree asks.
+    pub azimuth_nodes: Option<usize>,
+}
+
+/// A wavefront. Fields with no unit said are in pupil coordinates.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Wavefront {
+    /// Vacuum wavelength, nm.
+    pub wavelength_nm: f64,
+    /// Index of the vitreous.
+    pub n_vitreous: f64,
+    /// Landing point of the chief ray of this wavelength: (x_um, y_um).
+    pub landing_um: DVec2,
+    /// The same in the eye's frame, mm.
+    pub landing: DVec3,
+    /// Direction of the retina's tangent away from the optical axis, radians from the x_um axis towards y_um.
+    pub meridional_angle: f64,
+    /// Direction cosines of the middle of the pupil.
+    pub centre: DVec2,
+    /// Direction cosines per pupil coordinate.
+    pub axes: DMat2,
+    /// Path difference to the chief ray, µm of vitreous.
+    pub opd_um: Polynomial2,
+    /// Amplitude per pupil coordinate area.
+    pub amplitude: Polynomial2,
+    /// Edge of the pupil.
+    pub outline: Outline,
+    /// Flux into the pupil for unit irradiance at the apex across the light, mm² (no absorption, no apodization).
+    pub pupil_area_mm2: f64,
+    /// Mean path in the cornea / axial path.
+    pub path_cornea: f64,
+    /// Mean path in the lens / axial path.
+    pub path_lens: f64,
+    /// ∫A over the pupil.
+    pub amplitude_sum: f64,
+    /// ∫A² without apodization.
+    pub energy_open: f64,
+    throughput: f64,
+    rms_um: f64,
+}
+
+impl Wavefront {
+    /// The wavefront of an object at a vacuum wavelength (nm).
+    ///
+    /// # Errors
+    /// [`OpticsError::NoRay`] when a part of the pupil does not see the object or the retina;
+    /// [`OpticsError::OutOfRange`] for the wavelength or ρ.
+    pub fn new(
+        eye: &SchematicEye,
+        object: Object,
+        wavelength_nm: f64,
+        options: &WavefrontOptions,
+    ) -> Result<Self, OpticsError> {
+        let degree = options
+            .degree
+            .unwrap_or(if eye.state().pupil_mm <= 4.0 { 8 } else { 12 })
+            .clamp(2, 20);
+        let nodes = PupilNodes {
+            radial: options.radial_nodes.unwrap_or(degree * 3 / 4 + 2).max(2),
+            azimuth: options.azimuth_nodes.unwrap_or(3 * degree + 4).max(6),
+            edge: 4 * degree + 8,
+        };
+        let rho = options.stiles_crawford.map_or(0.0, |s| s.rho_base10_per_mm2);
+        crate::optics::error::in_range("rho_base10_per_mm2", rho, -0.5, 0.5)?;
+        let bundle = PupilBundle::trace(eye, object, wavelength_nm, nodes)?;
+        let lost = OpticsError::NoRay {
+            angle_deg: object.angle_deg(),
+        };
+        let Some((centre, axes)) = pupil_coordinates(&bundle) else {
+            return Err(lost);
+        };
+        let fitted = Fitted::new(eye, &bundle, options.amplitude, rho, degree, centre, axes);
+        let mut wavefront = Self {
+            wavelength_nm,
+            n_vitreous: bundle.n_vitreous,
+            landing_um: eye.fovea().um_from_point(bundle.landing),
+            landing: bundle.landing,
+            meridional_angle: meridional_angle_of(eye, &bundle),
+            centre,
+            axes,
+            opd_um: fitted.opd,
+            amplitude: fitted.amplitude,
+            outline: fitted.outline,
+            pupil_area_mm2: fitted.flux,
+            path_cornea: fitted.path_cornea,
+            path_lens: fitted.path_lens,
+            amplitude_sum: 0.0,
+            energy_open: 0.0,
+            throughput: fitted.throughput,
+            rms_um: bundle.variance_mm2().sqrt() * 1e3,
+        };
+        wavefront.integrate();
+        Ok(wavefront)
+    }
+
+    /// A pupil that fills the disc of direction cosines |q| ≤ `sine` evenly, with a path difference (µm, over q/sine):
+    /// for tests against closed forms.
+    pub fn disc(sine: f64, wavelength_nm: f64, n_vitreous: f64, opd_um: Polynomial2) -> Self {
+        let mut wavefront = Self {
+            wavelength_nm,
+            n_vitreous,
+            landing_um: DVec2::ZERO,
+            landing: DVec3::ZERO,
+            meridional_angle: 0.0,
+            centre: DVec2::ZERO,
+            axes: DMat2::from_diagonal(DVec2::splat(sine)),
+            opd_um,
+            amplitude: Polynomial2::new(0, vec![1.0]),
+            outline: Outline::circle(),
+            pupil_area_mm2: PI,
+            path_cornea: 1.0,
+            path_lens: 1.0,
+            amplitude_sum: 0.0,
+            energy_open: 0.0,
+            throughput: 1.0,
+            rms_um: 0.0,
+        };
+        wavefront.integrate();
+        let [mean, square] = wavefront.over_pupil(40, |s| {
+            let w = wavefront.opd_um.at(s);
+            [w, w * w]
+        });
+        wavefront.rms_um = (square / PI - (mean / PI).powi(2)).max(0.0).sqrt();
+        wavefront
+    }
+
+    fn integrate(&mut self) {
+        let [sum, energy] = self.over_pupil(32, |s| {
+            let a = self.amplitude.at(s);
+            [a, a * a]
+        });
+        self.amplitude_sum = sum;
+        self.energy_open = energy / self.throughput;
+    }
+
+    /// ∫ f(s) ds over the pupil by `nodes`² Gauss nodes on chords.
+    fn over_pupil<const N: usize>(&self, nodes: usize, f: impl Fn(DVec2) -> [f64; N]) -> [f64; N] {
+        let chords = Chords::new(&self.outline);
+        let rule = gauss_legendre(nodes);
+        let mut sum = [0.0; N];
+        for &(u, wu) in &rule {
+            let chord = chords.at(u * FRAC_PI_2);
+            for &(v, wv) in &rule {
+                let s = DVec2::new(chord.middle + 0.5 * chord.length * v, chord.y);
+                let weight = wu * FRAC_PI_2 * chord.slope * wv * 0.5 * chord.length;
+                for (total, value) in sum.iter_mut().zip(f(s)) {
+                    *total += weight * value;
+                }
+            }
+        }
+        sum
+    }
+
+    /// Wavelength in the vitreous, µm.
+    pub fn wavelength_um(&self) -> f64 {
+        self.wavelength_nm * 1e-3 / self.n_vitreous
+    }
+
+    /// Path difference left after piston and tilt, root mean square over the stop, in waves.
+    pub fn rms_waves(&self) -> f64 {
+        self.rms_um / self.wavelength_um()
+    }
+
+    /// Intensity at the landing point of the chief ray / that of the same pupil without path differences.
+    pub fn strehl(&self) -> f64 {
+        let nodes = 24 + (4.0 * self.largest_slope() / self.wavelength_um()).min(400.0) as usize;
+        let [re, im] = self.over_pupil(nodes, |s| {
+            let (sin, cos) = sin_cos_turns(self.opd_um.at(s) / self.wavelength_um());
+            let a = self.amplitude.at(s);
+            [a * cos, a * sin]
+        });
+        Complex64::new(re, im).norm_sqr() / (self.amplitude_sum * self.amplitude_sum)
+    }
+
+    /// Flux with the apodization / flux without; 1 without Stiles–Crawford.
+    pub fn throughput(&self) -> f64 {
+        self.throughput
+    }
+
+    /// Probability density per µm² (it integrates to [`Wavefront::throughput`] over the whole plane) of a relative
+    /// intensity of 1.
+    pub fn density_per_um2(&self) -> f64 {
+        let sum = self.amplitude_sum;
+        sum * sum * self.axes.determinant().abs() / (self.wavelength_um().powi(2) * self.energy_open)
+    }
+
+    /// Largest |dW/ds| on a sample of the pupil, µm.
+    pub(super) fn largest_slope(&self) -> f64 {
+        let [x, y] = self.opd_um.gradient();
+        self.samples().map(|s| x.at(s).hypot(y.at(s))).fold(0.0, f64::max)
+    }
+
+    /// Points over the pupil, dense enough to find maxima.
+    pub(super) fn samples(&self) -> impl Iterator<Item = DVec2> + '_ {
+        let centre = self.outline.harmonics.first().map_or(DVec2::ZERO, |h| h.0);
+        (0..16).flat_map(move |k| {
+            let edge = self.outline.at(PI * f64::from(k) / 8.0)[0];
+            [0.0, 0.35, 0.7, 1.0].map(|r| centre + r * (edge - centre))
+        })
+    }
+}
+
+/// What the fits give.
+struct Fitted {
+    opd: Polynomial2,
+    amplitude: Polynomial2,
+    outline: Outline,
+    flux: f64,
+    throughput: f64,
+    path_cornea: f64,
+    path_lens: f64,
+}
+
+impl Fitted {
+    fn new(
+        eye: &SchematicEye,
+        bundle: &PupilBundle,
+        kind: Amplitude,
+        rho: f64,
+        degree: usize,
+        centre: DVec2,
+        axes: DMat2,
+    ) -> Self {
+        let inverse = axes.inverse();
+        let points: Vec<DVec2> = bundle.rays.iter().map(|r| inverse * (r.q - centre)).collect();
+        let weights: Vec<f64> = bundle.rays.iter().map(|r| r.weight).collect();
+        let side =
+            |f: &dyn Fn(&crate::optics::PupilRay) -> f64| bundle.rays.iter().map(f).collect::<Vec<_>>();
+        // Path difference, and the maps back to the stop and the launch plane for their Jacobians.
+        let [opd, stop_x, stop_y, launch_x, launch_y] = fit(
+            degree,
+            &points,
+            &weights,
+            [
+                side(&|r| r.opd_mm * 1e3),
+                side(&|r| r.stop.x),
+                side(&|r| r.stop.y),
+                side(&|r| r.launch.x),
+                side(&|r| r.launch.y),
+            ],
+        );
+        let stop_per_s = Jacobian::new(&stop_x, &stop_y);
+        let launch_per_s = Jacobian::new(&launch_x, &launch_y);
+        let entrance_mm = eye.stop_radius_mm() * eye.stop_magnification();
+        let (mut flux, mut open, mut kept, mut cornea, mut lens) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        let mut amplitudes = Vec::with_capacity(points.len());
+        for (ray, s) in bundle.rays.iter().zip(&points) {
+            let stop_area = stop_per_s.at(*s);
+            let flux_density = ray.irradiance * launch_per_s.at(*s);
+            let amplitude = match kind {
+                Amplitude::Flux => flux_density.sqrt(),
+                Amplitude::Uniform => stop_area,
+            };
+            let apodization = 10.0_f64.powf(-0.5 * rho * (ray.stop * entrance_mm).length_squared());
+            amplitudes.push(amplitude * apodization);
+            // d(stop) = stop_area·ds turns the weights of the stop into sums over s.
+            let ds = ray.weight / stop_area;
+            open += ds * amplitude * amplitude;
+            kept += ds * (amplitude * apodization).powi(2);
+            flux += ds * flux_density;
+            cornea += ds * flux_density * ray.path_mm[1];
+            lens += ds * flux_density * ray.path_mm[3];
+        }
+        let amplitude_degree = degree.min(10);
+        debug_assert!(count(amplitude_degree) < points.len());
+        let [amplitude] = fit(amplitude_degree, &points, &weights, [amplitudes]);
+        let rim: Vec<DVec2> = bundle.edge.iter().map(|r| inverse * (r.q - centre)).collect();
+        let thickness = eye.thickness_mm();
+        Self {
+            opd,
+            amplitude,
+            outline: Outline::through(&rim),
+            flux,
+            throughput: kept / open,
+            path_cornea: cornea / (flux * thickness[0]),
+            path_lens: lens / (flux * thickness[2]),
+        }
+    }
+}
+
+/// |∂(x, y)/∂s| of two fitted maps.
+struct Jacobian([[Polynomial2; 2]; 2]);
+
+impl Jacobian {
+    fn new(x: &Polynomial2, y: &Polynomial2) -> Self {
+        Self([x.gradient(), y.gradient()])
+    }
+
+    fn at(&self, s: DVec2) -> f64 {
+        let [x, y] = &self.0;
+        (x[0].at(s) * y[1].at(s) - x[1].at(s) * y[0].at(s)).abs()
+    }
+}
+
+/// Centre and axes of the affine map from the unit stop to direction cosines, by least squares (the nodes are
+/// orthogonal: mean, and first moments over 1/4 of the weight).
+fn pupil_coordinates(bundle: &PupilBundle) -> Option<(DVec2, DMat2)> {
+    let total: f64 = bundle.rays.iter().map(|r| r.weight).sum();
+    let centre = bundle.rays.iter().map(|r| r.q * r.weight).sum::<DVec2>() / total;
+    let moment = |f: fn(DVec2) -> f64| {
+        bundle
+            .rays
+            .iter()
+            .map(|r| (r.q - centre) * (r.weight * f(r.stop)))
+            .sum::<DVec2>()
+            / (total / 4.0)
+    };
+    let axes = DMat2::from_cols(moment(|s| s.x), moment(|s| s.y));
+    (axes.determinant().abs() > 1e-12).then_some((centre, axes))
+}
+
+/// Angle, in the local retina frame, of the tangent away from the optical axis; the fovea's meridian on the axis itself.
+pub(super) fn meridional_angle_of(eye: &SchematicEye, bundle: &PupilBundle) -> f64 {
+    let outward = bundle.landing - eye.retina_centre();
+    let lateral = outward.truncate();
+    let sine = lateral.length();
+    let way = if sine > 1e-9 { lateral / sine } else { DVec2::Y };
+    let tangent = DVec3::new(way.x * outward.z, way.y * outward.z, -sine);
+    tangent.dot(bundle.frame[1]).atan2(tangent.dot(bundle.frame[0]))
+}

@@ -1,0 +1,220 @@
+//! Birth places of the cones: patches of hexagonal lattice, each with its own turn and offset.
+//!
+//! Patch centres lie on rings of the chart about the foveal centre, 0.87·q spacings apart and as many on a ring as q spacings fit
+//! (jittered by a quarter of that). A patch owns the points nearer to its centre than to any other. Inside, lattice point ζ (plane across
+//! the cones, complex) is placed at f(ζ) = ζ + α·ζ²/2 with α = conj(∇ ln s): |f'| = s/s0 to first order, so hexagons grow with the
+//! spacing s and stay hexagons. The lattice constant is corrected by the mean of (spacing of f / s)² over the patch, which takes
+//! out what the first order misses.
+//!
+//! Everything is keyed by the global numbers of ring, patch and lattice point: any region gives the same cones.
+
+use glam::DVec2;
+
+use super::clip::{Convex, directions};
+use super::field::Field;
+use super::tile::RegionUm;
+use crate::rng::{Purpose, Stream};
+
+/// Distance of rings in patch widths: rows of a hexagonal arrangement.
+const RING_STEP: f64 = 0.87;
+/// Jitter of a patch centre along and across its ring, in patch widths.
+const JITTER: f64 = 0.25;
+/// Lattice indices run from -HALF to HALF - 1.
+const HALF: i32 = 256;
+/// Most rings from the fovea to the ora; bounds the loop.
+const MAX_RINGS: usize = 60_000;
+/// `b` of the random stream of a patch.
+const PATCH_STREAM: u64 = 1;
+
+/// One ring of patches.
+struct Ring {
+    number: u64,
+    rho: f64,
+    pitch: f64,
+    count: u64,
+}
+
+/// One patch of lattice.
+struct Patch {
+    id: u64,
+    at: DVec2,
+    pitch: f64,
+    turn: f64,
+    offset: DVec2,
+}
+
+/// Birth places, sorted by id. An id packs ring (16 bits), patch on the ring (18 bits) and lattice point (2 x 9 bits).
+#[derive(Debug, Default)]
+pub(super) struct Births {
+    pub(super) id: Vec<u64>,
+    pub(super) at: Vec<DVec2>,
+}
+
+/// All birth places inside `region` (closed).
+pub(super) fn births(field: &Field, region: &RegionUm) -> Births {
+    let (patches, ring_start) = patches(field, region);
+    let square = directions(4);
+    let mut cell = Convex::default();
+    let mut out = Births::default();
+    for (r, window) in ring_start.windows(2).enumerate() {
+        let near = ring_start[r.saturating_sub(2)]..ring_start[(r + 3).min(ring_start.len() - 1)];
+        for i in window[0]..window[1] {
+            let patch = &patches[i];
+            if !region.grown(1.6 * patch.pitch).contains_closed(patch.at) {
+                continue;
+            }
+            // The patch's own cell among its neighbours.
+            cell.reset_regular(&square, 1.8 * patch.pitch);
+            for n in near.clone().filter(|&n| n != i) {
+                let d = patches[n].at - patch.at;
+                if d.length_squared() < (3.2 * patch.pitch).powi(2) {
+                    cell.cut(d, 0.5 * d.length_squared(), 0);
+                }
+            }
+            fill(field, patch, &cell, region, &mut out);
+        }
+    }
+    out
+}
+
+/// The patches that can matter to the region, ring by ring, and where each ring starts.
+fn patches(field: &Field, region: &RegionUm) -> (Vec<Patch>, Vec<usize>) {
+    let far = region.farthest_from_origin();
+    let close = region.distance_to_origin();
+    let (mut rho, mut patches, mut starts) = (0.0, Vec::new(), vec![0]);
+    for number in 0..MAX_RINGS as u64 {
+        let pitch = field.texture(DVec2::new(rho, 0.0)).patch * field.mean_spacing(rho);
+        if rho - 5.0 * pitch > far || rho > field.density.ora_um() + 5.0 * pitch {
+            break;
+        }
+        if rho + 5.0 * pitch > close {
+            let radius = field.params.geometry.radius_um;
+            let around = std::f64::consts::TAU * radius * (rho / radius).sin();
+            let count = (around / pitch).round().max(1.0) as u64;
+            ring_patches(
+                field,
+                &Ring {
+                    number,
+                    rho,
+                    pitch,
+                    count,
+                },
+                region,
+                &mut patches,
+            );
+            starts.push(patches.len());
+        }
+        rho += RING_STEP * pitch;
+    }
+    (patches, starts)
+}
+
+/// Patches of one ring with centres near the region, in order of their number.
+fn ring_patches(field: &Field, ring: &Ring, region: &RegionUm, out: &mut Vec<Patch>) {
+    let seed = field.params.seed;
+    let phase = Stream::new(seed, Purpose::Mosaic, ring.number << 36, PATCH_STREAM).uniform();
+    let near = region.grown(5.0 * ring.pitch);
+    let step = std::f64::consts::TAU / ring.count as f64;
+    let first = out.len();
+    for j in numbers_near(&near, ring.count, phase, step) {
+        let id = (ring.number << 36) | (j << 18);
+        let mut s = Stream::new(seed, Purpose::Mosaic, id | 1, PATCH_STREAM);
+        let along = JITTER * (2.0 * s.uniform() - 1.0) * if ring.count > 1 { 1.0 } else { 0.0 };
+        let rho = ring.rho + JITTER * ring.pitch * (2.0 * s.uniform() - 1.0);
+        let at = DVec2::from_angle(step * (j as f64 + phase + along)) * rho;
+        let turn = std::f64::consts::FRAC_PI_3 * s.uniform();
+        let offset = DVec2::new(s.uniform(), s.uniform());
+        if near.contains_closed(at) {
+            out.push(Patch {
+                id,
+                at,
+                pitch: ring.pitch,
+                turn,
+                offset,
+            });
+        }
+    }
+    out[first..].sort_unstable_by_key(|p| p.id);
+}
+
+/// Numbers of the ring's patches inside the angle that the region spans; all of them when it holds the origin.
+fn numbers_near(near: &RegionUm, count: u64, phase: f64, step: f64) -> Vec<u64> {
+    let corners = near.corners();
+    let middle = 0.5 * (near.min + near.max);
+    let half = corners
+        .iter()
+        .map(|&c| middle.angle_to(c).abs())
+        .fold(0.0, f64::max);
+    let span = 2.0 * (half / step).ceil() + 6.0;
+    if near.contains_closed(DVec2::ZERO) || span >= count as f64 {
+        return (0..count).collect();
+    }
+    let first = ((middle.to_angle() - half) / step - phase).floor() as i64 - 2;
+    (first..first + span as i64)
+        .map(|j| j.rem_euclid(count as i64) as u64)
+        .collect()
+}
+
+/// The lattice points of one patch: those inside its cell and the region.
+fn fill(field: &Field, patch: &Patch, cell: &Convex, region: &RegionUm, out: &mut Births) {
+    let here = field.local(patch.at);
+    let frame = here.metric.frame();
+    let spacing = field.spacing_with(patch.at, here.cos_tilt);
+    // Gradient of ln s over the plane, and alpha with |1 + alpha u| = 1 + gradient·u.
+    let h = 0.5 * spacing;
+    let ln = |d: DVec2| field.spacing(patch.at + d).ln();
+    let chart = DVec2::new(
+        ln(DVec2::new(h, 0.0)) - ln(DVec2::new(-h, 0.0)),
+        ln(DVec2::new(0.0, h)) - ln(DVec2::new(0.0, -h)),
+    ) / (2.0 * h);
+    let gradient = frame.plane_gradient(chart).clamp_length_max(0.3 / patch.pitch);
+    let alpha = DVec2::new(gradient.x, -gradient.y);
+    let warp = |u: DVec2| u + 0.5 * product(alpha, product(u, u));
+    // Lattice constant corrected over the patch.
+    let mut ratio = 1.0;
+    for k in 0..6 {
+        let u = DVec2::from_angle(f64::from(k) * std::f64::consts::FRAC_PI_3) * 0.405 * patch.pitch;
+        let stretch = (DVec2::X + product(alpha, u)).length_squared();
+        let true_spacing = field.spacing(patch.at + frame.chart_from_plane(warp(u)));
+        ratio += stretch * (spacing / true_spacing).powi(2);
+    }
+    let constant = spacing / (ratio / 7.0).sqrt();
+    // Rows and columns that reach the cell.
+    let reach = cell
+        .corner
+        .iter()
+        .map(|&c| frame.plane_from_chart(c).length())
+        .fold(0.0, f64::max)
+        * 1.25;
+    let (e1, e2) = (
+        DVec2::from_angle(patch.turn),
+        DVec2::from_angle(patch.turn + std::f64::consts::FRAC_PI_3),
+    );
+    let rows = ((reach / (constant * 0.75_f64.sqrt())) as i32 + 2).min(HALF - 1);
+    for b in -rows..rows {
+        let row = f64::from(b) + patch.offset.y;
+        let side = (reach * reach - (row * constant).powi(2) * 0.75).max(0.0).sqrt() / constant;
+        let centre = -0.5 * row - patch.offset.x;
+        let (low, high) = ((centre - side).ceil() as i32, (centre + side).floor() as i32);
+        for a in low.max(-HALF)..=high.min(HALF - 1) {
+            let zeta = constant * (e1 * (f64::from(a) + patch.offset.x) + e2 * row);
+            let d = frame.chart_from_plane(warp(zeta));
+            let at = patch.at + d;
+            if inside(&cell.corner, d) && region.contains_closed(at) {
+                out.id
+                    .push(patch.id | (((a + HALF) as u64) << 9) | (b + HALF) as u64);
+                out.at.push(at);
+            }
+        }
+    }
+}
+
+/// Complex product.
+fn product(a: DVec2, b: DVec2) -> DVec2 {
+    DVec2::new(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x)
+}
+
+fn inside(corner: &[DVec2], p: DVec2) -> bool {
+    let n = corner.len();
+    (0..n).all(|m| (corner[(m + 1) % n] - corner[m]).perp_dot(p - corner[m]) >= 0.0)
+}

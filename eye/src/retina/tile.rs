@@ -1,0 +1,264 @@
+//! Tiles: the retina's chart cut into squares that can be made one by one, in any order, anywhere.
+//!
+//! The chart is divided into squares of `TILE_UM`; away from the fovea, where cones are rarer, aligned blocks of 2x2, 4x4 and 8x8 of them
+//! are one tile. A tile is named by the square at its lower left corner. Its edges are half-open, so a cone is in one tile.
+//!
+//! A tile is made from birth places in a halo round it. `relax` follows which cones have seen all their true neighbours at every
+//! sub-cycle; a tile whose cones, cells and types did not all come from such cones is made again with a thicker halo. So tiles agree
+//! bit by bit along their borders.
+
+use glam::DVec2;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::cells::{Cells, build_cells};
+use super::field::Field;
+use super::mosaic::{Cones, Counts, Retina, RetinaTile};
+use super::params::{RetinaError, RetinaParams};
+use super::relax::{Relaxed, relax};
+use super::types::{Kind, assign};
+
+/// Side of the smallest tile, µm of the chart.
+pub const TILE_UM: f64 = 256.0;
+/// Distance from the foveal centre, µm, from which blocks of 2, 4 and 8 tiles a side are one tile.
+const BLOCK_FROM_UM: [f64; 3] = [500.0, 1_500.0, 6_000.0];
+/// Rows of cones round a tile that must be exact: cells two rows out with all their neighbours, S cones three rows out.
+const EXACT_ROWS: f64 = 7.5;
+/// Rows round a tile for which cells are built.
+pub(super) const CELL_ROWS: f64 = 5.0;
+/// How often a halo is widened before giving up.
+const ATTEMPTS: u32 = 4;
+
+/// A rectangle of the chart, µm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RegionUm {
+    /// Lower left corner.
+    pub min: DVec2,
+    /// Upper right corner.
+    pub max: DVec2,
+}
+
+impl RegionUm {
+    /// Whether the point is inside; the lower edges belong to the region, the upper ones do not.
+    pub fn contains(&self, p: DVec2) -> bool {
+        p.cmpge(self.min).all() && p.cmplt(self.max).all()
+    }
+
+    pub(super) fn contains_closed(&self, p: DVec2) -> bool {
+        p.cmpge(self.min).all() && p.cmple(self.max).all()
+    }
+
+    pub(super) fn grown(&self, by: f64) -> Self {
+        Self {
+            min: self.min - DVec2::splat(by),
+            max: self.max + DVec2::splat(by),
+        }
+    }
+
+    pub(super) fn corners(&self) -> [DVec2; 4] {
+        [
+            self.min,
+            DVec2::new(self.max.x, self.min.y),
+            self.max,
+            DVec2::new(self.min.x, self.max.y),
+        ]
+    }
+
+    pub(super) fn nearest(&self, p: DVec2) -> DVec2 {
+        p.max(self.min).min(self.max)
+    }
+
+    pub(super) fn distance_to_origin(&self) -> f64 {
+        self.nearest(DVec2::ZERO).length()
+    }
+
+    pub(super) fn farthest_from_origin(&self) -> f64 {
+        self.corners().iter().map(|c| c.length()).fold(0.0, f64::max)
+    }
+}
+
+/// Name of a tile: column and row of its lower left square, `TILE_UM` a step, (0, 0) starting at the foveal centre.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct TileId {
+    /// Column.
+    pub i: i32,
+    /// Row.
+    pub j: i32,
+}
+
+impl TileId {
+    /// The tile that holds the square (i, j).
+    fn of_square(i: i32, j: i32) -> (Self, i32) {
+        let mut found = (Self { i, j }, 1);
+        for (level, from) in BLOCK_FROM_UM.iter().enumerate() {
+            let side = 2 << level;
+            let block = Self {
+                i: i.div_euclid(side) * side,
+                j: j.div_euclid(side) * side,
+            };
+            if square_region(block, side).distance_to_origin() < *from {
+                break;
+            }
+            found = (block, side);
+        }
+        found
+    }
+
+    /// The part of the chart that the tile owns; `None` when no tile starts here.
+    pub fn region(self) -> Option<RegionUm> {
+        let limit = 1 << 20;
+        if self.i.abs() > limit || self.j.abs() > limit {
+            return None;
+        }
+        let (tile, side) = Self::of_square(self.i, self.j);
+        (tile == self).then(|| square_region(tile, side))
+    }
+}
+
+fn square_region(t: TileId, side: i32) -> RegionUm {
+    let at = |i: i32| f64::from(i) * TILE_UM;
+    RegionUm {
+        min: DVec2::new(at(t.i), at(t.j)),
+        max: DVec2::new(at(t.i + side), at(t.j + side)),
+    }
+}
+
+/// The tiles that meet the region, sorted. Nothing beyond 32 mm of arc is listed; an empty or NaN region has no tiles.
+pub fn tiles_for(region: &RegionUm) -> Vec<TileId> {
+    let edge = 32_000.0;
+    let (min, max) = (
+        region.min.max(DVec2::splat(-edge)),
+        region.max.min(DVec2::splat(edge)),
+    );
+    if !min.cmplt(max).all() {
+        return Vec::new();
+    }
+    let low = (min / TILE_UM).floor();
+    let high = (max / TILE_UM).ceil();
+    let mut tiles: Vec<TileId> = (low.x as i32..high.x as i32)
+        .flat_map(|i| (low.y as i32..high.y as i32).map(move |j| TileId::of_square(i, j).0))
+        .collect();
+    tiles.sort_unstable();
+    tiles.dedup();
+    tiles
+}
+
+/// The cones of one tile: a pure function of parameters and tile.
+///
+/// # Errors
+/// Parameters out of range, or a tile that is not one of the tiling.
+pub fn build_tile(p: &RetinaParams, t: TileId) -> Result<RetinaTile, RetinaError> {
+    p.validate()?;
+    let region = t.region().ok_or(RetinaError::NotATile { i: t.i, j: t.j })?;
+    let field = Field::new(p);
+    if region.distance_to_origin() > field.density.ora_um() {
+        return Ok(RetinaTile {
+            tile: t,
+            params: p.clone(),
+            cones: Cones::default(),
+        });
+    }
+    for attempt in 0..ATTEMPTS {
+        let relaxed = relax(&field, &region, EXACT_ROWS, 1.0 + 0.25 * f64::from(attempt));
+        if relaxed.is_exact(EXACT_ROWS) {
+            let cells = build_cells(&relaxed, CELL_ROWS);
+            let kinds = assign(&field, &relaxed);
+            let cones = collect(&field, &region, &relaxed, &cells, &kinds);
+            return Ok(RetinaTile {
+                tile: t,
+                params: p.clone(),
+                cones,
+            });
+        }
+    }
+    Err(RetinaError::Halo { i: t.i, j: t.j })
+}
+
+/// The cones whose final place is in the region, in order of their id.
+fn collect(field: &Field, region: &RegionUm, relaxed: &Relaxed, cells: &Cells, kinds: &[Kind]) -> Cones {
+    let mut cones = Cones {
+        counts: Counts {
+            coincident: relaxed.coincident,
+            ..Counts::default()
+        },
+        ..Cones::default()
+    };
+    let ora = field.density.ora_um();
+    for (i, (&at, &kind)) in relaxed.at.iter().zip(kinds).enumerate() {
+        if !region.contains(at) || at.length() > ora || relaxed.rows[i] > CELL_ROWS {
+            continue;
+        }
+        cones.counts.limited_steps += u64::from(relaxed.limited[i]);
+        cones.counts.close_pairs += u64::from(cells.close[i]);
+        cones.counts.voids += u64::from(cells.void[i]);
+        cones.counts.concave += u64::from(cells.concave[i]);
+        let area_factor = relaxed.metric[i].area_factor();
+        let coverage = field.density.coverage(at);
+        let polygon = cells.polygon(i);
+        cones.push(relaxed.id[i], at, kind, polygon, area_factor, coverage);
+    }
+    cones
+}
+
+/// The cones of a region: its tiles made in parallel, then assembled. The same for any number of threads.
+///
+/// # Errors
+/// Parameters out of range.
+pub fn build_region(p: &RetinaParams, region: &RegionUm) -> Result<Retina, RetinaError> {
+    p.validate()?;
+    let tiles: Result<Vec<_>, _> = tiles_for(region)
+        .into_par_iter()
+        .map(|t| build_tile(p, t))
+        .collect();
+    Ok(Retina::assemble(&tiles?, region).with_params(p))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_partition_the_chart() {
+        let region = RegionUm {
+            min: DVec2::new(-9_000.0, -3_000.0),
+            max: DVec2::new(2_000.0, 9_000.0),
+        };
+        let tiles = tiles_for(&region);
+        assert!(tiles.is_sorted());
+        for k in 0..2_000 {
+            let p = DVec2::new(
+                f64::from(k * 7_919 % 11_000) - 9_000.0,
+                f64::from(k * 104_729 % 12_000) - 3_000.0,
+            );
+            assert_eq!(
+                tiles.iter().filter(|t| t.region().unwrap().contains(p)).count(),
+                1
+            );
+        }
+        let far = tiles
+            .iter()
+            .find(|t| t.region().unwrap().distance_to_origin() > 6_500.0)
+            .unwrap();
+        assert!(
+            TileId {
+                i: far.i + 1,
+                j: far.j
+            }
+            .region()
+            .is_none()
+        );
+        assert!(
+            TileId {
+                i: i32::MIN,
+                j: i32::MAX
+            }
+            .region()
+            .is_none()
+        );
+        let nan = RegionUm {
+            min: DVec2::NAN,
+            max: DVec2::NAN,
+        };
+        assert!(tiles_for(&nan).is_empty());
+    }
+}

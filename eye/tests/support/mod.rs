@@ -1,0 +1,123 @@
+//! Scenes for the tests of the whole model, and a runner that builds a plan's artifacts.
+#![allow(dead_code, reason = "each test file uses a part")]
+
+use std::collections::BTreeMap;
+
+use photoneye_eye::artifact::Input;
+use photoneye_eye::digest::Digest;
+use photoneye_eye::display::{Channel, Display, EmissionLaw, Primary, Transfer, White};
+use photoneye_eye::experiment::{
+    Counts, Engine, Experiment, Eye, Gaze, Generator, Movement, PaperSettings, Pattern, Retina, Video,
+};
+use photoneye_eye::exposure::Exposure;
+use photoneye_eye::optics::{Dispersion, Side};
+use photoneye_eye::plan::{Plan, plan};
+use photoneye_eye::spectrum::Spectrum;
+
+/// A primary that fills 80 % of the pixel.
+pub fn primary(channel: Channel, spectrum: Spectrum) -> Primary {
+    let edge = 0.5 * (1.0 - 0.8_f64.sqrt());
+    Primary {
+        channel,
+        spectrum,
+        power: 1.0,
+        rects: vec![[edge, edge, 1.0 - edge, 1.0 - edge]],
+        offset_px: [0.0; 2],
+        lit: [0.0, 1.0],
+    }
+}
+
+/// The scene of Figure 12 with a drawn pattern.
+pub fn figure_12(pattern: Pattern) -> Experiment {
+    let named = |name: &str| Spectrum::named(name).unwrap();
+    Experiment {
+        eye: Eye {
+            preset: "escudero-sanz-navarro".into(),
+            side: Side::Right,
+            pupil_mm: 3.0,
+            decentre_mm: 0.4,
+            focus_distance_cm: 800.0,
+            focus_wavelength_nm: 543.0,
+            dispersion: Dispersion::Herzberger,
+            macular_peak_density: 0.404,
+            lens_density_scale: 1.0,
+            stiles_crawford_rho10_per_mm2: 0.05,
+            pointing_sd_deg: 1.0,
+        },
+        retina: Retina {
+            seed: 1,
+            generator: Generator::Domain,
+            peak_density_per_mm2: 199_000.0,
+            cone_ratio: [0.62, 0.30, 0.08],
+            region_deg: None,
+        },
+        display: Display {
+            width_px: 30,
+            height_px: 30,
+            pixel_pitch_cm: 0.58,
+            distance_cm: 800.0,
+            white: White::LuminanceCdM2(250.0),
+            frame_rate_hz: 60.0,
+            transfer: Transfer::Srgb,
+            emission_law: EmissionLaw::Lambertian,
+            primaries: vec![
+                primary(Channel::Red, named("projector-uhp/red")),
+                primary(Channel::Green, named("projector-uhp/green")),
+                primary(Channel::Blue, named("projector-uhp/blue")),
+            ],
+        },
+        video: Video::Pattern(pattern),
+        gaze: Gaze {
+            center_px: [15.0, 15.0],
+            movement: Movement::Drift {
+                speed_arcmin_per_s: 6.0,
+                direction_deg: 30.0,
+            },
+        },
+        counts: Counts {
+            engine: Engine::Expected,
+            poisson: true,
+            seed: 7,
+            wavelength_step_nm: None,
+            paper: PaperSettings::default(),
+        },
+        accuracy_target: 0.01,
+        frames: 1,
+    }
+}
+
+/// White everywhere.
+pub const WHITE: Pattern = Pattern::Uniform { rgb: [1.0; 3] };
+
+/// Builds every artifact of a plan.
+pub fn build(plan: &Plan) -> BTreeMap<Digest, Vec<u8>> {
+    let mut built: BTreeMap<Digest, Vec<u8>> = BTreeMap::new();
+    for artifact in &plan.artifacts {
+        let started = std::time::Instant::now();
+        let inputs: Vec<Input> = artifact
+            .inputs
+            .iter()
+            .map(|k| (*k, built[k].as_slice()))
+            .collect();
+        let bytes = artifact.spec.build(&inputs).unwrap().bytes;
+        if std::env::var_os("PHOTONEYE_TEST_TIMES").is_some() {
+            println!(
+                "{:12} {:8.3} s {:10} bytes",
+                artifact.spec.kind(),
+                started.elapsed().as_secs_f64(),
+                bytes.len()
+            );
+        }
+        built.insert(artifact.key, bytes);
+    }
+    built
+}
+
+/// Plans, builds and prepares an experiment.
+pub fn exposure(experiment: &Experiment) -> (Plan, Exposure) {
+    let plan = plan(experiment).unwrap();
+    let built = build(&plan);
+    let artifacts: Vec<&Vec<u8>> = plan.tile_artifacts[0].iter().map(|k| &built[k]).collect();
+    let exposure = Exposure::new(experiment, &artifacts).unwrap();
+    (plan, exposure)
+}
