@@ -98,7 +98,7 @@ impl Mean {
     fn new(folder: &Path, cones: &ConeColumns, shapes: &ConeShapes, picture_px: u32) -> Option<Self> {
         let report: Value =
             serde_json::from_str(&fs::read_to_string(folder.join("report.json")).ok()?).ok()?;
-        let spec: Experiment = serde_json::from_value(report.get("experiment")?.clone()).ok()?;
+        let spec: Experiment = serde_json::from_value(report.get("spec")?.clone()).ok()?;
         let duration = f64::from(spec.frames) / spec.display.frame_rate_hz;
         Some(Self {
             gaze: Gaze::new(spec.gaze.movement, spec.display.distance_cm, duration).ok()?,

@@ -7,13 +7,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use photoneye_client::Client;
+use photoneye_server::{Handle, Server, StartError};
 use photoneye_worker::Worker;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use tonic::transport::Channel;
 
 use crate::cli::WhereArgs;
-use crate::failure::Failure;
+use crate::failure::{Failure, plain};
 use crate::settings::{self, Settings};
 
 /// How long a stop waits for work that was begun.
@@ -30,9 +31,9 @@ pub struct Service {
 pub struct Embedded {
     /// In-memory connection to the server.
     pub channel: Channel,
-    /// Where it listens, when it does.
-    pub address: Option<SocketAddr>,
-    server: Running,
+    /// Where it listens.
+    pub address: SocketAddr,
+    server: Handle,
     stop_workers: CancellationToken,
     workers: Option<JoinHandle<()>>,
 }
@@ -71,7 +72,13 @@ impl Embedded {
     /// # Errors
     /// When the data folder cannot be written, the address is taken, or the worker's cache cannot be made.
     pub async fn start(data: &Path, listen: Option<Listen>, workers: usize) -> Result<Self, Failure> {
-        let server = Running::start(data, listen).await?;
+        let mut options = photoneye_server::Options::new(data);
+        // Without an address of its own it takes a free port of this machine; nobody is told which.
+        options.listen = listen.map_or(SocketAddr::from(([127, 0, 0, 1], 0)), |listen| listen.address);
+        options.insecure = listen.is_some_and(|listen| listen.insecure);
+        let server = Server::start(options)
+            .await
+            .map_err(|error| start_failure(&error))?;
         let channel = server.channel();
         let stop_workers = CancellationToken::new();
         let workers = if workers == 0 {
@@ -89,7 +96,7 @@ impl Embedded {
         };
         Ok(Self {
             channel,
-            address: server.address(),
+            address: server.local_addr(),
             server,
             stop_workers,
             workers,
@@ -105,7 +112,7 @@ impl Embedded {
         {
             tracing::info!("a worker is still busy; its lease will run out");
         }
-        self.server.stop().await;
+        self.server.shutdown().await;
     }
 }
 
@@ -118,21 +125,16 @@ pub struct Listen {
     pub insecure: bool,
 }
 
-/// The running server.
-struct Running {}
-
-impl Running {
-    async fn start(_data: &Path, _listen: Option<Listen>) -> Result<Self, Failure> {
-        Err(Failure::failed("the server is being written"))
+/// What starting says, with a way out when the folder is taken.
+fn start_failure(error: &StartError) -> Failure {
+    match error {
+        StartError::InUse(_) => Failure::failed(format!(
+            "{error}; ask that one with --server, or give another --data"
+        )),
+        StartError::Listen(address, cause) => {
+            Failure::failed(format!("cannot listen on {address}: {}", plain(cause)))
+        }
+        StartError::Open(_) => Failure::usage(error),
+        _ => Failure::failed(error),
     }
-
-    fn channel(&self) -> Channel {
-        tonic::transport::Endpoint::from_static("http://127.0.0.1:7733").connect_lazy()
-    }
-
-    fn address(&self) -> Option<SocketAddr> {
-        None
-    }
-
-    async fn stop(self) {}
 }

@@ -3,16 +3,16 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use photoneye_eye::report::WorkReport;
+use photoneye_eye::report::PhotonBudget;
 use serde_json::Value;
 
 /// The summary of a report.json, as lines.
 pub fn of_report(report: &Value, out: &Path, pictures: usize) -> String {
     let mut text = String::new();
-    let work: WorkReport = serde_json::from_value(report["work"].clone()).unwrap_or_default();
-    photons(&mut text, &work);
-    cones(&mut text, &work, frames(report));
-    seconds(&mut text, &work);
+    let budget = serde_json::from_value(report["photon_budget"].clone()).unwrap_or_default();
+    photons(&mut text, &budget);
+    cones(&mut text, report);
+    seconds(&mut text, report);
     let _ = writeln!(text, "Result        {}", out.display());
     if pictures > 0 {
         let _ = writeln!(text, "Pictures      {}", out.join("frames").display());
@@ -20,13 +20,7 @@ pub fn of_report(report: &Value, out: &Path, pictures: usize) -> String {
     text.trim_end().to_owned()
 }
 
-/// Number of frames of the report.
-fn frames(report: &Value) -> u64 {
-    report["experiment"]["frames"].as_u64().unwrap_or(1).max(1)
-}
-
-fn photons(text: &mut String, work: &WorkReport) {
-    let budget = &work.budget;
+fn photons(text: &mut String, budget: &PhotonBudget) {
     if budget.emitted <= 0.0 {
         let _ = writeln!(text, "Photons       none: the display is dark");
         return;
@@ -60,36 +54,45 @@ fn photons(text: &mut String, work: &WorkReport) {
     );
 }
 
-fn cones(text: &mut String, work: &WorkReport, frames: u64) {
-    let total: u64 = work.cones.iter().sum();
+fn cones(text: &mut String, report: &Value) {
+    let of_type = |name: &str| report["cones"][name].as_u64().unwrap_or(0);
+    let total: u64 = ["l", "m", "s"].into_iter().map(of_type).sum();
     let _ = writeln!(text, "Cones         {total}");
-    for (i, name) in ["L", "M", "S"].iter().enumerate() {
-        let looks = work.cones[i] * frames;
-        let mean = if looks > 0 {
-            work.counted[i] / looks as f64
-        } else {
-            0.0
-        };
+    for (name, letter) in [("l", "L"), ("m", "M"), ("s", "S")] {
         let _ = writeln!(
             text,
-            "              {:>6} {name}, on average {mean:.2} isomerizations a frame",
-            work.cones[i]
+            "              {:>6} {letter}, on average {:.2} isomerizations a frame",
+            of_type(name),
+            mean_of_type(report, name)
         );
     }
 }
 
-fn seconds(text: &mut String, work: &WorkReport) {
-    let total: f64 = work.seconds.values().sum();
-    let _ = writeln!(text, "Work          {total:.2} s");
-    for (stage, seconds) in &work.seconds {
-        let _ = writeln!(text, "              {seconds:>6.2} s {stage}");
+/// The mean over the listed frames.
+fn mean_of_type(report: &Value, name: &str) -> f64 {
+    let frames = report["frames"].as_array().map_or(&[][..], Vec::as_slice);
+    let means = frames
+        .iter()
+        .filter_map(|frame| frame["types"][name]["mean"].as_f64());
+    let (sum, count) = means.fold((0.0, 0.0), |(sum, count), mean| (sum + mean, count + 1.0));
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
+fn seconds(text: &mut String, report: &Value) {
+    let none = serde_json::Map::new();
+    let stages = report["seconds"].as_object().unwrap_or(&none);
+    let seconds = |value: &Value| value.as_f64().unwrap_or(0.0);
+    let total: f64 = stages.values().map(seconds).sum();
+    let wall = seconds(&report["wall_seconds"]);
+    let _ = writeln!(
+        text,
+        "Time          {wall:.2} s from start to end, {total:.2} s of work"
+    );
+    for (stage, value) in stages {
+        let _ = writeln!(text, "              {:>6.2} s {stage}", seconds(value));
     }
-    if work.peak_memory_bytes > 0 {
-        let _ = writeln!(
-            text,
-            "Peak memory   {:.0} MB",
-            work.peak_memory_bytes as f64 / 1e6
-        );
+    if let Some(bytes) = report["peak_memory_bytes"].as_f64().filter(|bytes| *bytes > 0.0) {
+        let _ = writeln!(text, "Peak memory   {:.0} MB", bytes / 1e6);
     }
 }
 
@@ -131,16 +134,19 @@ mod tests {
 
     #[test]
     fn every_fate_is_told() {
-        let mut work = WorkReport {
-            cones: [2, 1, 0],
-            counted: [20.0, 5.0, 0.0],
-            ..WorkReport::default()
+        let budget = PhotonBudget {
+            emitted: 100.0,
+            missed_pupil: 50.0,
+            lens: 25.0,
+            isomerized: [20.0, 5.0, 0.0],
+            ..PhotonBudget::default()
         };
-        work.budget.emitted = 100.0;
-        work.budget.missed_pupil = 50.0;
-        work.budget.lens = 25.0;
-        work.budget.isomerized = [20.0, 5.0, 0.0];
-        let report = serde_json::json!({"work": work, "experiment": {"frames": 1}});
+        let report = serde_json::json!({
+            "photon_budget": budget,
+            "cones": {"l": 2, "m": 1, "s": 0},
+            "frames": [{"types": {"l": {"mean": 10.0}, "m": {"mean": 5.0}}}],
+            "seconds": {"count": 0.5},
+        });
         let text = of_report(&report, Path::new("out/x"), 1);
         for part in [
             "50 enter the pupil",

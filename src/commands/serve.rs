@@ -31,7 +31,7 @@ pub async fn run(context: Context, args: ServeArgs) -> Result<(), Failure> {
     let stop = interrupted();
     let listen = Listen { address, insecure };
     let server = Embedded::start(&data, Some(listen), settings.workers(args.workers)).await?;
-    let address = server.address.unwrap_or(address);
+    let address = server.address;
     if context.json {
         output::json_line(&serde_json::json!({"listening": format!("http://{address}"), "data": data}))?;
     } else {

@@ -61,7 +61,7 @@ fn a_job_over_rest() {
     let (status, results) = server.get(&format!("/v1/jobs/{id}/results?from=1"));
     assert!(status == 200 && results.len() > 100);
     let report = server.get_json(&format!("/v1/jobs/{id}/report"));
-    assert!(report["work"]["budget"]["emitted"].as_f64().unwrap() > 0.0);
+    assert!(report["photon_budget"]["emitted"].as_f64().unwrap() > 0.0);
     assert!(server.get_json("/v1/jobs").to_string().contains(id));
 }
 

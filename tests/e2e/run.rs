@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use photoneye_eye::report::WorkReport;
+use photoneye_eye::report::PhotonBudget;
 use photoneye_store::table::read_cones_file;
 use serde_json::Value;
 use tempfile::tempdir;
@@ -73,8 +73,7 @@ fn every_photon_has_one_fate() {
     let place = tempdir().unwrap();
     succeed(photoneye(place.path()).args(["run", write_small(place.path(), 2), "--out", "o"]));
     let report = read_json(&place.path().join("o/report.json"));
-    let work: WorkReport = serde_json::from_value(report["work"].clone()).unwrap();
-    let budget = work.budget;
+    let budget: PhotonBudget = serde_json::from_value(report["photon_budget"].clone()).unwrap();
     assert!(budget.emitted > 0.0 && budget.isomerized.iter().sum::<f64>() > 0.0);
     // Rounding of sums of about ten terms over all frames.
     let difference = (budget.fates() / budget.emitted - 1.0).abs();

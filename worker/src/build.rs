@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use photoneye_eye::artifact::{ArtifactSpec, BuildError, Built};
+use photoneye_eye::artifact::{ArtifactSpec, BuildError, Built, Input};
 use photoneye_eye::digest::Digest;
 use photoneye_eye::report::WorkReport;
 use photoneye_proto::v1;
@@ -68,10 +68,35 @@ fn parse(build: &v1::Build) -> Result<ArtifactSpec, WorkError> {
     }
 }
 
-fn build_artifact(_spec: &ArtifactSpec, _inputs: &[(Digest, Vec<u8>)]) -> Result<Built, WorkError> {
-    let built: Result<Built, BuildError> = Err(BuildError::Model("building is being written".into()));
-    built.map_err(|error| match error {
+fn build_artifact(spec: &ArtifactSpec, inputs: &[(Digest, Vec<u8>)]) -> Result<Built, WorkError> {
+    let inputs: Vec<Input> = inputs
+        .iter()
+        .map(|(key, bytes)| (*key, bytes.as_slice()))
+        .collect();
+    spec.build(&inputs).map_err(|error| match error {
         BuildError::Input(..) => WorkError::Passing(error.to_string()),
         BuildError::Model(message) => WorkError::Model(message),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_build_under_another_key_is_refused() {
+        let spec = ArtifactSpec::Cones {
+            tiles: vec![Digest([7; 32])],
+            region: serde_json::from_str("{\"min\": [0.0, 0.0], \"max\": [1.0, 1.0]}").unwrap(),
+        };
+        let mut build = v1::Build {
+            key: Some(spec.key().unwrap().to_string()),
+            spec_json: serde_json::to_string(&spec).ok(),
+            ..v1::Build::default()
+        };
+        assert_eq!(parse(&build).unwrap(), spec);
+        // The same inputs under the key of others.
+        build.key = Some(Digest([8; 32]).to_string());
+        assert!(matches!(parse(&build), Err(WorkError::Passing(_))));
+    }
 }

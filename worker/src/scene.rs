@@ -95,7 +95,7 @@ async fn prepare(shared: &Shared, lease: &Lease, shard: &v1::Shard) -> Result<Ar
     };
     blocking(move || {
         let exposure = Exposure::new(&experiment, &artifacts).map_err(model_error)?;
-        let cone_types = cone_types(&exposure);
+        let cone_types = exposure.cone_types();
         Ok(Arc::new(Scene {
             exposure,
             cone_types,
@@ -109,10 +109,6 @@ async fn prepare(shared: &Shared, lease: &Lease, shard: &v1::Shard) -> Result<Ar
 pub(crate) fn model_error(error: ExposureError) -> WorkError {
     match error {
         ExposureError::Artifact(..) => WorkError::Passing(error.to_string()),
-        ExposureError::Model(message) => WorkError::Model(message),
+        ExposureError::Model(_) | ExposureError::PictureSize(..) => WorkError::Model(error.to_string()),
     }
-}
-
-fn cone_types(_exposure: &Exposure) -> Vec<u8> {
-    Vec::new()
 }
