@@ -1,1 +1,203 @@
 //! REST and gRPC front end, job machine, SQLite.
+//!
+//! [`Server::start`] opens the data folder, listens, and serves both doors on one port until its [`Handle`] is shut down.
+
+mod cones;
+pub mod error;
+mod grpc;
+pub mod jobs;
+mod listen;
+mod report;
+mod rest;
+mod results;
+pub mod service;
+pub mod spec;
+mod transfer;
+mod view;
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use hyper_util::rt::TokioIo;
+use photoneye_store::FolderStore;
+use tokio::io::DuplexStream;
+use tokio::net::TcpListener;
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+use tonic::transport::{Channel, Endpoint, Uri};
+
+pub use service::Limits;
+
+use jobs::Machine;
+use jobs::machine::Clock;
+use jobs::sqlite::SqliteStore;
+use service::Service;
+
+/// How a server is set up.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Address and port; port 0 takes a free one.
+    pub listen: SocketAddr,
+    /// Where jobs and blobs are kept.
+    pub data_dir: PathBuf,
+    /// Listen on an address that others can reach, although nobody is asked who they are.
+    pub insecure: bool,
+    /// What is accepted.
+    pub limits: Limits,
+}
+
+impl Options {
+    /// A server for this machine only, with jobs and blobs in a folder.
+    pub fn new(data_dir: impl Into<PathBuf>) -> Self {
+        Self {
+            listen: SocketAddr::from(([127, 0, 0, 1], 7733)),
+            data_dir: data_dir.into(),
+            insecure: false,
+            limits: Limits::default(),
+        }
+    }
+}
+
+/// Why a server cannot start. Each error is one line that names what is wrong.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// Others could reach the port and nobody would be asked who they are.
+    #[error("{0} can be reached from outside; listen on 127.0.0.1 or say --insecure")]
+    Open(SocketAddr),
+    /// The port is taken, or the address is not this machine's.
+    #[error("cannot listen on {0}: {1}")]
+    Listen(SocketAddr, std::io::Error),
+    /// The data folder cannot be used.
+    #[error("data folder: {0}")]
+    Folder(#[from] photoneye_store::StoreError),
+    /// Another server uses the data folder.
+    #[error("data folder {0} is in use by another server")]
+    InUse(PathBuf),
+    /// The database cannot be used.
+    #[error("{0}: {1}")]
+    Database(PathBuf, jobs::StoreError),
+    /// The schema's descriptors are broken.
+    #[error("reflection: {0}")]
+    Reflection(#[from] tonic_reflection::server::Error),
+}
+
+/// The service, not started yet.
+#[derive(Debug)]
+pub struct Server;
+
+impl Server {
+    /// Opens the data folder, listens and serves.
+    ///
+    /// # Errors
+    /// When the port is taken, or the data folder cannot be used.
+    pub async fn start(options: Options) -> Result<Handle, StartError> {
+        if !options.listen.ip().is_loopback() && !options.insecure {
+            return Err(StartError::Open(options.listen));
+        }
+        let listen_error = |error| StartError::Listen(options.listen, error);
+        let listener = TcpListener::bind(options.listen).await.map_err(listen_error)?;
+        let address = listener.local_addr().map_err(listen_error)?;
+        let blobs = FolderStore::open(&options.data_dir)?;
+        let lock = lock(&options.data_dir)?;
+        let file = options.data_dir.join("photoneye.db");
+        let clock = Clock::new();
+        let opened = SqliteStore::open(&file, clock.now_ms()).await;
+        let store = opened.map_err(|error| StartError::Database(file, error))?;
+        let service = Arc::new(Service {
+            machine: Machine::new(store, clock),
+            blobs: Arc::new(blobs),
+            limits: options.limits,
+        });
+        let routes = rest::routes(Arc::clone(&service))
+            .merge(grpc::routes(&service).await?)
+            .fallback(rest::unknown);
+        let (sender, receiver) = mpsc::channel(16);
+        let stop = CancellationToken::new();
+        let serving = tokio::spawn({
+            let stop = stop.clone();
+            async move {
+                tokio::select! {
+                    () = listen::serve(listener, receiver, routes, stop) => {}
+                    () = service.machine.reap() => {}
+                }
+                drop(service);
+                drop(lock);
+            }
+        });
+        tracing::info!(%address, data = %options.data_dir.display(), "serving");
+        Ok(Handle {
+            address,
+            connector: sender,
+            stop,
+            serving,
+        })
+    }
+}
+
+/// Holds the data folder for one server; the system lets go of it when the process ends, however it ends.
+fn lock(folder: &Path) -> Result<std::fs::File, StartError> {
+    let path = folder.join("lock");
+    let unusable = |source| {
+        StartError::Folder(photoneye_store::StoreError::Io {
+            action: "lock",
+            path: path.clone(),
+            source,
+        })
+    };
+    let file = std::fs::File::options()
+        .create(true)
+        .append(true)
+        .open(&path)
+        .map_err(unusable)?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(std::fs::TryLockError::WouldBlock) => Err(StartError::InUse(folder.to_owned())),
+        Err(std::fs::TryLockError::Error(error)) => Err(unusable(error)),
+    }
+}
+
+/// A server that runs.
+#[derive(Debug)]
+pub struct Handle {
+    address: SocketAddr,
+    connector: mpsc::Sender<DuplexStream>,
+    stop: CancellationToken,
+    serving: JoinHandle<()>,
+}
+
+impl Handle {
+    /// Where it listens.
+    pub fn local_addr(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// A gRPC channel inside this process, over the same accept loop as TCP; it connects again by itself.
+    pub fn channel(&self) -> Channel {
+        let connector = self.connector.clone();
+        let connect = tower::service_fn(move |_: Uri| {
+            let connector = connector.clone();
+            async move {
+                let (near, far) = tokio::io::duplex(listen::LOCAL_BUFFER);
+                let gone =
+                    |_| std::io::Error::new(std::io::ErrorKind::ConnectionRefused, "the server has stopped");
+                connector.send(far).await.map_err(gone)?;
+                Ok::<_, std::io::Error>(TokioIo::new(near))
+            }
+        });
+        // The name is never looked up.
+        Endpoint::from_static("http://photoneye.local")
+            .initial_stream_window_size(listen::STREAM_WINDOW)
+            .initial_connection_window_size(listen::CONNECTION_WINDOW)
+            .connect_with_connector_lazy(connect)
+    }
+
+    /// Stops: no new connections, a moment for open requests, then the end.
+    pub async fn shutdown(self) {
+        self.stop.cancel();
+        if let Err(error) = self.serving.await {
+            tracing::error!(%error, "the server died");
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! Experiments from the user's side, over gRPC.
+
+use std::pin::Pin;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use futures::{Stream, StreamExt as _};
+use photoneye_proto::v1;
+use photoneye_proto::v1::experiments_server::Experiments;
+use tonic::{Request, Response, Status};
+
+use super::needed;
+use crate::service::Service;
+
+/// One message of a cone table, bytes.
+const PIECE: usize = 1 << 20;
+
+pub(super) struct Door(pub Arc<Service>);
+
+type Answer<T> = Result<Response<T>, Status>;
+type Streamed<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+#[tonic::async_trait]
+impl Experiments for Door {
+    async fn plan(&self, request: Request<v1::PlanRequest>) -> Answer<v1::PlanReply> {
+        let experiment = needed("experiment", request.into_inner().experiment)?;
+        Ok(Response::new(self.0.plan(&experiment).await?))
+    }
+
+    async fn create_job(&self, request: Request<v1::CreateJobRequest>) -> Answer<v1::Job> {
+        let request = request.into_inner();
+        let experiment = needed("experiment", request.experiment)?;
+        let request_id = request.request_id.filter(|id| !id.is_empty());
+        Ok(Response::new(self.0.create(&experiment, request_id).await?.0))
+    }
+
+    async fn get_job(&self, request: Request<v1::JobRequest>) -> Answer<v1::Job> {
+        Ok(Response::new(self.0.job(request.get_ref().id()).await?))
+    }
+
+    async fn list_jobs(&self, request: Request<v1::ListJobsRequest>) -> Answer<v1::ListJobsReply> {
+        let request = request.into_inner();
+        Ok(Response::new(
+            self.0.list(request.page.as_deref(), request.page_size).await?,
+        ))
+    }
+
+    async fn cancel_job(&self, request: Request<v1::JobRequest>) -> Answer<v1::Job> {
+        Ok(Response::new(self.0.cancel(request.get_ref().id()).await?))
+    }
+
+    type WatchJobStream = Streamed<v1::JobEvent>;
+
+    async fn watch_job(&self, request: Request<v1::WatchJobRequest>) -> Answer<Self::WatchJobStream> {
+        let request = request.into_inner();
+        let after = request.after();
+        let events = Arc::clone(&self.0)
+            .watch(needed("id", request.id)?, after)
+            .await?;
+        Ok(Response::new(Box::pin(events.map(Ok))))
+    }
+
+    type StreamResultsStream = Streamed<v1::ResultChunk>;
+
+    async fn stream_results(
+        &self,
+        request: Request<v1::StreamResultsRequest>,
+    ) -> Answer<Self::StreamResultsStream> {
+        let request = request.into_inner();
+        let from = request.from.unwrap_or(1);
+        let chunks = Arc::clone(&self.0)
+            .chunks(needed("id", request.id)?, from)
+            .await?;
+        Ok(Response::new(Box::pin(
+            chunks.map(|chunk| chunk.map_err(Status::from)),
+        )))
+    }
+
+    async fn get_report(&self, request: Request<v1::JobRequest>) -> Answer<v1::Report> {
+        let json = self.0.report(request.get_ref().id()).await?.to_string();
+        Ok(Response::new(v1::Report { json: Some(json) }))
+    }
+
+    type GetConesStream = Streamed<v1::GetBlobReply>;
+
+    async fn get_cones(&self, request: Request<v1::JobRequest>) -> Answer<Self::GetConesStream> {
+        let mut table = Bytes::from(self.0.cones_file(request.get_ref().id(), true).await?);
+        let pieces = std::iter::from_fn(move || {
+            let piece = table.split_to(table.len().min(PIECE));
+            (!piece.is_empty()).then(|| Ok(v1::GetBlobReply { bytes: Some(piece) }))
+        });
+        Ok(Response::new(Box::pin(futures::stream::iter(pieces))))
+    }
+}

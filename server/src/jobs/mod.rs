@@ -1,0 +1,18 @@
+//! The job machine: jobs are artifact builds and shards; workers lease them, keep the lease alive and commit.
+//!
+//! [`step`] is the whole logic, without I/O; a store only keeps what it changed.
+
+pub mod lease;
+pub mod machine;
+pub mod memory;
+mod pick;
+pub mod sqlite;
+pub mod state;
+pub mod step;
+pub mod store;
+
+pub use lease::{Lease, Phase};
+pub use machine::Machine;
+pub use state::{Artifact, Chunk, Job, JobState, Shard, State};
+pub use step::{Command, Commit, NewArtifact, NewJob, Reply, step};
+pub use store::{JobStore, StoreError};

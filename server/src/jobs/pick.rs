@@ -1,0 +1,80 @@
+//! Which work a worker gets: the job that had least so far, first what others wait for, then what the worker has inputs for.
+
+use std::collections::BTreeSet;
+
+use super::lease::Phase;
+use super::state::{Job, State, WorkId};
+
+/// The next piece of work for a worker that holds these artifacts.
+pub fn pick(state: &State, holds: &BTreeSet<String>) -> Option<WorkId> {
+    let mut jobs: Vec<&Job> = state.active.iter().filter_map(|id| state.jobs.get(id)).collect();
+    jobs.sort_by_key(|job| (job.pass_us, job.number));
+    let of_job = |job: &&Job| build(state, &needed(state, job)).or_else(|| shard(state, job, holds));
+    jobs.iter().find_map(of_job).or_else(|| {
+        let mut wanted = BTreeSet::new();
+        state.asked.iter().for_each(|key| want(state, key, &mut wanted));
+        build(state, &wanted)
+    })
+}
+
+/// Artifacts that a job's open shards still need, directly or to be made from.
+pub fn needed(state: &State, job: &Job) -> BTreeSet<String> {
+    let mut wanted = BTreeSet::new();
+    let tiles = job.open.iter().filter(|(_, shards)| !shards.is_empty());
+    for key in tiles
+        .filter_map(|(tile, _)| job.tiles.get(*tile as usize))
+        .flatten()
+    {
+        want(state, key, &mut wanted);
+    }
+    // A tile's place in the cone table follows from the cones of the tiles before it.
+    for key in job.tiles.iter().filter_map(|tile| tile.first()) {
+        if state
+            .artifacts
+            .get(key)
+            .is_some_and(|artifact| artifact.cones.is_none())
+        {
+            want(state, key, &mut wanted);
+        }
+    }
+    wanted
+}
+
+/// Adds an artifact that is not ready and everything it is made from that is not.
+fn want(state: &State, key: &str, wanted: &mut BTreeSet<String>) {
+    let mut stack = vec![key.to_owned()];
+    while let Some(key) = stack.pop() {
+        if state.ready(&key) || wanted.contains(&key) {
+            continue;
+        }
+        if let Some(artifact) = state.artifacts.get(&key) {
+            stack.extend(artifact.inputs.iter().cloned());
+        }
+        wanted.insert(key);
+    }
+}
+
+/// The first of the wanted artifacts that can be built now.
+fn build(state: &State, wanted: &BTreeSet<String>) -> Option<WorkId> {
+    let open = wanted
+        .iter()
+        .filter_map(|key| state.artifacts.get(key))
+        .find(|artifact| {
+            artifact.lease.phase == Phase::Open && artifact.inputs.iter().all(|input| state.ready(input))
+        });
+    open.map(|artifact| WorkId::Build(artifact.key.clone()))
+}
+
+/// An open shard whose artifacts are ready, of the tile for which the worker holds most of them.
+fn shard(state: &State, job: &Job, holds: &BTreeSet<String>) -> Option<WorkId> {
+    let known = state.first_cones(job).0.len();
+    let ready = job.open.iter().filter_map(|(tile, shards)| {
+        let first = *shards.first()?;
+        let artifacts = job.tiles.get(*tile as usize)?;
+        let ready = (*tile as usize) < known && artifacts.iter().all(|key| state.ready(key));
+        ready.then(|| (artifacts.iter().filter(|key| holds.contains(*key)).count(), first))
+    });
+    // Of equals the first tile.
+    let best = ready.reduce(|best, next| if next.0 > best.0 { next } else { best });
+    best.map(|(_, number)| WorkId::Shard(job.id.clone(), number))
+}

@@ -1,0 +1,113 @@
+//! One accept loop for REST and gRPC: TCP connections, and in-memory ones from this process.
+
+use std::convert::Infallible;
+use std::time::Duration;
+
+use axum::Router;
+use http::Request;
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::server::conn::auto::Builder;
+use hyper_util::server::graceful::GracefulShutdown;
+use tokio::io::{AsyncRead, AsyncWrite, DuplexStream};
+use tokio::net::TcpListener;
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+use tower::ServiceExt as _;
+
+use crate::grpc::Local;
+
+/// In flight on one HTTP/2 stream, bytes; the default caps a stream at its window over the round trip.
+pub const STREAM_WINDOW: u32 = 4 << 20;
+/// In flight on one HTTP/2 connection, bytes.
+pub const CONNECTION_WINDOW: u32 = 16 << 20;
+/// Buffer of an in-memory connection, bytes.
+pub const LOCAL_BUFFER: usize = 1 << 20;
+
+/// A client has so long to send its headers.
+const HEADER_TIMEOUT: Duration = Duration::from_secs(10);
+/// Open requests have so long to end when the server stops.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// Serves connections until the token is cancelled and open requests have ended or had their time.
+pub async fn serve(
+    listener: TcpListener,
+    mut local: mpsc::Receiver<DuplexStream>,
+    routes: Router,
+    stop: CancellationToken,
+) {
+    let graceful = GracefulShutdown::new();
+    let connections = CancellationToken::new();
+    loop {
+        tokio::select! {
+            () = stop.cancelled() => break,
+            accepted = listener.accept() => match accepted {
+                Ok((stream, _)) => {
+                    let _ = stream.set_nodelay(true);
+                    spawn(stream, false, &routes, &graceful, &connections);
+                }
+                Err(error) => {
+                    // Out of file descriptors, most likely: others may be closed soon.
+                    tracing::warn!(%error, "cannot accept a connection");
+                    tokio::time::sleep(Duration::from_millis(100)).await;
+                }
+            },
+            Some(stream) = local.recv() => spawn(stream, true, &routes, &graceful, &connections),
+        }
+    }
+    drop(listener);
+    let _ = tokio::time::timeout(FAREWELL, graceful.shutdown()).await;
+    connections.cancel();
+}
+
+fn spawn(
+    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    local: bool,
+    routes: &Router,
+    graceful: &GracefulShutdown,
+    stop: &CancellationToken,
+) {
+    let routes = routes.clone();
+    let service =
+        hyper_util::service::TowerToHyperService::new(tower::service_fn(move |mut request: Request<_>| {
+            if local {
+                request.extensions_mut().insert(Local);
+            }
+            let routes = routes.clone();
+            async move {
+                Ok::<_, Infallible>(
+                    routes
+                        .oneshot(request.map(axum::body::Body::new))
+                        .await
+                        .unwrap_or_else(|e| match e {}),
+                )
+            }
+        }));
+    let mut builder = Builder::new(TokioExecutor::new());
+    builder
+        .http1()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEADER_TIMEOUT);
+    builder
+        .http2()
+        .timer(TokioTimer::new())
+        .initial_stream_window_size(STREAM_WINDOW)
+        .initial_connection_window_size(CONNECTION_WINDOW)
+        .max_concurrent_streams(1000)
+        .keep_alive_interval(Duration::from_secs(30))
+        .keep_alive_timeout(Duration::from_secs(20));
+    let connection = builder
+        .serve_connection(TokioIo::new(stream), service)
+        .into_owned();
+    let connection = graceful.watch(connection);
+    let stop = stop.clone();
+    tokio::spawn(async move {
+        tokio::select! {
+            () = stop.cancelled() => {}
+            ended = connection => {
+                if let Err(error) = ended {
+                    tracing::debug!(%error, "a connection broke");
+                }
+            }
+        }
+    });
+}

@@ -1,0 +1,134 @@
+//! report.json of a finished job: what was asked, what was planned, what it cost and where the photons went.
+
+use std::collections::BTreeMap;
+
+use photoneye_eye::experiment::COUNTS_VERSION;
+use photoneye_eye::report::WorkReport;
+use serde_json::{Value, json};
+
+use crate::error::{Error, Kind};
+use crate::jobs::state::{Summary, WorkId};
+use crate::jobs::{Job, JobState, State};
+use crate::service::Service;
+
+/// Frames whose statistics are listed.
+const MAX_FRAMES: usize = 10_000;
+
+/// What the report takes from the machine.
+struct Facts {
+    work: Vec<WorkId>,
+    digests: Value,
+    artifacts: Value,
+    frames: Value,
+    wall_seconds: f64,
+}
+
+impl Service {
+    /// The report of a job that succeeded.
+    ///
+    /// # Errors
+    /// When there is no such job or it has not succeeded.
+    pub async fn report(&self, id: &str) -> Result<Value, Error> {
+        let facts = self
+            .look(id, |state, job| match job.state {
+                JobState::Succeeded => Ok(facts(state, job)),
+                other => Err(Error::new(
+                    Kind::NotReady,
+                    format!("the job is not done: {other:?}"),
+                )),
+            })
+            .await??;
+        let mut merged = WorkReport::default();
+        for work in &facts.work {
+            let text = self.machine.document(&format!("report/{work}")).await?;
+            let report = text.and_then(|text| serde_json::from_str::<WorkReport>(&text).ok());
+            if let Some(report) = report {
+                merged.merge(&report);
+            }
+        }
+        let plan: Value = self.stored(&format!("plan/{id}")).await?;
+        Ok(json!({
+            "id": id,
+            "spec": self.stored(&format!("experiment/{id}")).await?,
+            "digests": facts.digests,
+            "engine": plan["engine"],
+            "versions": {"photoneye": env!("CARGO_PKG_VERSION"), "counts": COUNTS_VERSION},
+            "error_estimate": {
+                "parts": plan["error_estimate"],
+                "how": "planned from measured error curves of each method; relative error of the mean per cone, L1 over cones",
+            },
+            "plan": plan,
+            "artifacts": facts.artifacts,
+            "wall_seconds": facts.wall_seconds,
+            "seconds": merged.seconds,
+            "peak_memory_bytes": merged.peak_memory_bytes,
+            "photon_budget": merged.budget,
+            "diagnostics": merged.diagnostics,
+            "cones": {"l": merged.cones[0], "m": merged.cones[1], "s": merged.cones[2]},
+            "frames": facts.frames,
+        }))
+    }
+
+    async fn stored(&self, name: &str) -> Result<Value, Error> {
+        let text = self.machine.document(name).await?.unwrap_or_default();
+        serde_json::from_str(&text).map_err(|error| Error::new(Kind::Internal, format!("{name}: {error}")))
+    }
+}
+
+fn facts(state: &State, job: &Job) -> Facts {
+    let builds = job.artifacts.iter().map(|key| WorkId::Build(key.clone()));
+    let shards = (0..job.shards.len() as u32).map(|number| WorkId::Shard(job.id.clone(), number));
+    let artifacts: Vec<Value> = job
+        .artifacts
+        .iter()
+        .filter_map(|key| state.artifacts.get(key))
+        .map(|one| json!({"kind": one.kind, "key": one.key, "digest": one.digest.map(|d| d.to_string()), "cones": one.cones}))
+        .collect();
+    // The keys of a job's retina and optics, in tile order; one tile has one of each.
+    let keys =
+        |place: usize| -> Vec<&String> { job.tiles.iter().filter_map(|tile| tile.get(place)).collect() };
+    let digests = json!({"spec": job.experiment_digest, "retina": keys(0), "optics": keys(1), "result": job.result_digest});
+    let ended = job.finished_ms.unwrap_or(job.created_ms);
+    Facts {
+        work: builds.chain(shards).collect(),
+        digests,
+        artifacts: artifacts.into(),
+        frames: frames(job),
+        wall_seconds: ended.saturating_sub(job.created_ms) as f64 / 1e3,
+    }
+}
+
+/// Mean, variance and Fano factor per frame and cone type.
+fn frames(job: &Job) -> Value {
+    let mut frames: BTreeMap<u32, Vec<&Summary>> = BTreeMap::new();
+    for ((frame, _), chunk) in &job.chunks {
+        frames.entry(*frame).or_default().push(&chunk.summary);
+    }
+    let list = frames.into_iter().take(MAX_FRAMES).map(|(frame, tiles)| {
+        let types = ["l", "m", "s"]
+            .iter()
+            .enumerate()
+            .map(|(i, name)| ((*name).to_owned(), of_type(&tiles, i)));
+        json!({"frame": frame, "types": types.collect::<serde_json::Map<String, Value>>()})
+    });
+    list.collect::<Vec<_>>().into()
+}
+
+fn of_type(tiles: &[&Summary], i: usize) -> Value {
+    let total = |values: fn(&Summary) -> &Vec<f64>| -> f64 {
+        tiles.iter().filter_map(|tile| values(tile).get(i)).sum()
+    };
+    let cones: u64 = tiles.iter().filter_map(|tile| tile.cones.get(i)).sum();
+    if cones == 0 {
+        return json!({"cones": 0});
+    }
+    let n = cones as f64;
+    let mean = total(|tile| &tile.sum) / n;
+    let variance = (total(|tile| &tile.sum_squares) / n - mean * mean).max(0.0);
+    let fano = if mean > 0.0 {
+        Value::from(variance / mean)
+    } else {
+        Value::Null
+    };
+    json!({"cones": cones, "mean": mean, "variance": variance, "fano": fano})
+}

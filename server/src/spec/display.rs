@@ -1,0 +1,184 @@
+//! The display: a preset of data/displays, then the fields of the spec over it; a list of primaries replaces the preset's whole.
+
+use photoneye_eye::catalog;
+use photoneye_eye::display::{Channel, Display, EmissionLaw, Primary, Transfer, White};
+use photoneye_eye::spectrum::Spectrum;
+use photoneye_proto::v1::{self, spectrum, waveform};
+use photoneye_proto::{FieldError, from_json};
+
+use super::read::{choice, empty_choice, field_error, needed, number};
+
+/// The validated-to-be display of a spec.
+///
+/// # Errors
+/// The first field that is missing or does not fit.
+pub fn display(spec: Option<&v1::Display>) -> Result<Display, FieldError> {
+    let spec = needed("display", spec)?;
+    let spec = match &spec.preset {
+        None => spec.clone(),
+        Some(name) => over(preset(name)?, spec),
+    };
+    let white = match (spec.white_luminance_cd_m2, spec.lumens) {
+        (Some(_), Some(_)) => {
+            return Err(FieldError::new(
+                "display.lumens",
+                "excludes `white_luminance_cd_m2`",
+            ));
+        }
+        (None, Some(lumens)) => White::Lumens(lumens + 0.0),
+        (luminance, None) => White::LuminanceCdM2(needed("display.white_luminance_cd_m2", luminance)? + 0.0),
+    };
+    let primaries = (0..)
+        .zip(&spec.primaries)
+        .map(|(i, one)| primary(&format!("display.primaries[{i}]"), one));
+    let display = Display {
+        width_px: needed("display.width_px", spec.width_px)?,
+        height_px: needed("display.height_px", spec.height_px)?,
+        pixel_pitch_cm: needed("display.pixel_pitch_cm", spec.pixel_pitch_cm)?,
+        distance_cm: needed("display.distance_cm", spec.distance_cm)?,
+        white,
+        frame_rate_hz: needed("display.frame_rate_hz", spec.frame_rate_hz)?,
+        transfer: transfer(&spec)?,
+        emission_law: emission_law(&spec)?,
+        primaries: primaries.collect::<Result<_, _>>()?,
+    };
+    // Now, because other fields take their defaults from these.
+    display.validate().map_err(field_error)?;
+    Ok(display)
+}
+
+/// A display of data/displays.
+///
+/// # Errors
+/// When there is none of that name (the message lists them), or its file does not fit the schema.
+pub fn preset(name: &str) -> Result<v1::Display, FieldError> {
+    let text = catalog::text("displays", name).ok_or_else(|| {
+        let names = catalog::names("displays").join("`, `");
+        FieldError::new(
+            "display.preset",
+            format!("unknown display `{name}`, expected one of `{names}`"),
+        )
+    })?;
+    from_json(text)
+        .map_err(|error| FieldError::new("display.preset", format!("data/displays/{name}.json: {error}")))
+}
+
+fn over(preset: v1::Display, spec: &v1::Display) -> v1::Display {
+    // The two ways to say how bright white is exclude each other: one in the spec takes both from the preset.
+    let bright = spec.white_luminance_cd_m2.is_some() || spec.lumens.is_some();
+    let white = if bright { spec } else { &preset };
+    let (white_luminance_cd_m2, lumens) = (white.white_luminance_cd_m2, white.lumens);
+    let primaries = if spec.primaries.is_empty() {
+        preset.primaries
+    } else {
+        spec.primaries.clone()
+    };
+    v1::Display {
+        preset: spec.preset.clone(),
+        width_px: spec.width_px.or(preset.width_px),
+        height_px: spec.height_px.or(preset.height_px),
+        pixel_pitch_cm: spec.pixel_pitch_cm.or(preset.pixel_pitch_cm),
+        distance_cm: spec.distance_cm.or(preset.distance_cm),
+        white_luminance_cd_m2,
+        lumens,
+        frame_rate_hz: spec.frame_rate_hz.or(preset.frame_rate_hz),
+        primaries,
+        transfer: spec.transfer.or(preset.transfer),
+        emission_law: spec.emission_law.or(preset.emission_law),
+        description: spec.description.clone().or(preset.description),
+    }
+}
+
+fn transfer(spec: &v1::Display) -> Result<Transfer, FieldError> {
+    use v1::display::Transfer as T;
+    let transfer = choice("display.transfer", spec.transfer, T::Srgb, T::as_str_name)?;
+    Ok(match transfer {
+        T::Srgb => Transfer::Srgb,
+        T::Bt1886 => Transfer::Bt1886,
+        T::Linear => Transfer::Linear,
+        T::Pq => Transfer::Pq,
+    })
+}
+
+fn emission_law(spec: &v1::Display) -> Result<EmissionLaw, FieldError> {
+    use v1::display::EmissionLaw as E;
+    let law = choice(
+        "display.emission_law",
+        spec.emission_law,
+        E::Lambertian,
+        E::as_str_name,
+    )?;
+    Ok(match law {
+        E::Lambertian => EmissionLaw::Lambertian,
+        E::Uniform => EmissionLaw::Uniform,
+    })
+}
+
+fn primary(path: &str, spec: &v1::Primary) -> Result<Primary, FieldError> {
+    let name_path = format!("{path}.name");
+    let channel = match needed(&name_path, spec.name.as_deref())? {
+        "red" => Channel::Red,
+        "green" => Channel::Green,
+        "blue" => Channel::Blue,
+        "white" => Channel::White,
+        other => {
+            let message =
+                format!("unknown primary `{other}`, expected one of `red`, `green`, `blue`, `white`");
+            return Err(FieldError::new(name_path, message));
+        }
+    };
+    let rect = |(i, rect): (usize, &v1::Rect)| -> Result<[f64; 4], FieldError> {
+        let corner =
+            |name: &str, value| needed(&format!("{path}.rects[{i}].{name}"), value).map(|v: f64| v + 0.0);
+        Ok([
+            corner("x0", rect.x0)?,
+            corner("y0", rect.y0)?,
+            corner("x1", rect.x1)?,
+            corner("y1", rect.y1)?,
+        ])
+    };
+    let mut rects = spec
+        .rects
+        .iter()
+        .enumerate()
+        .map(rect)
+        .collect::<Result<Vec<_>, _>>()?;
+    if rects.is_empty() {
+        rects.push([0.0, 0.0, 1.0, 1.0]);
+    }
+    let offset = spec.offset_px.unwrap_or_default();
+    Ok(Primary {
+        channel,
+        spectrum: spectrum(&format!("{path}.spectrum"), spec.spectrum.as_ref())?,
+        power: number(spec.power, 1.0),
+        rects,
+        offset_px: [number(offset.x, 0.0), number(offset.y, 0.0)],
+        lit: lit(&format!("{path}.waveform"), spec.waveform.as_ref())?,
+    })
+}
+
+fn lit(path: &str, spec: Option<&v1::Waveform>) -> Result<[f64; 2], FieldError> {
+    match spec.map(|spec| spec.kind.as_ref()) {
+        None | Some(Some(waveform::Kind::Steady(_))) => Ok([0.0, 1.0]),
+        Some(Some(waveform::Kind::Pulse(pulse))) => Ok([number(pulse.start, 0.0), number(pulse.end, 1.0)]),
+        Some(None) => Err(empty_choice(path, &["steady", "pulse"])),
+    }
+}
+
+fn spectrum(path: &str, spec: Option<&v1::Spectrum>) -> Result<Spectrum, FieldError> {
+    match &needed(path, spec)?.kind {
+        Some(spectrum::Kind::Line(line)) => Ok(Spectrum::Line {
+            nm: needed(&format!("{path}.line.nm"), line.nm)?,
+            fwhm_nm: number(line.fwhm_nm, 0.0),
+        }),
+        Some(spectrum::Kind::Named(name)) => {
+            Spectrum::named(name).map_err(|message| FieldError::new(format!("{path}.named"), message))
+        }
+        Some(spectrum::Kind::Table(table)) => Ok(Spectrum::Table {
+            nm: table.nm.iter().map(|nm| nm + 0.0).collect(),
+            value: table.value.iter().map(|value| value + 0.0).collect(),
+        }),
+        Some(spectrum::Kind::EqualEnergy(_)) => Ok(Spectrum::EqualEnergy),
+        None => Err(empty_choice(path, &["line", "named", "table", "equal_energy"])),
+    }
+}

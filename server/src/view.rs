@@ -1,0 +1,97 @@
+//! The machine's state and the model's plan in the schema's words.
+
+use photoneye_eye::plan::Plan;
+use photoneye_proto::v1;
+
+use crate::jobs::{Job, JobState, Phase, State};
+
+/// A plan; `cached` says which artifacts are there already.
+pub fn plan(plan: &Plan, cached: impl Fn(&str) -> bool) -> v1::Plan {
+    let artifacts = plan.artifacts.iter().map(|artifact| {
+        let key = artifact.key.to_string();
+        v1::PlannedArtifact {
+            kind: Some(artifact.spec.kind().to_owned()),
+            cached: Some(cached(&key)),
+            key: Some(key),
+            predicted_seconds: Some(artifact.predicted_seconds),
+        }
+    });
+    let omissions = plan.omissions.iter().map(|omission| v1::Omission {
+        what: Some(omission.what.clone()),
+        why: Some(omission.why.clone()),
+        bound: Some(omission.bound),
+    });
+    let parts = plan.error_estimate.iter().map(|part| v1::ErrorPart {
+        part: Some(part.part.clone()),
+        relative: Some(part.relative),
+    });
+    let frames = plan
+        .shards
+        .iter()
+        .map(|shard| shard.first_frame + shard.frame_count)
+        .max();
+    let region = &plan.region;
+    v1::Plan {
+        experiment_digest: Some(plan.experiment.to_string()),
+        engine: Some(plan.engine.clone()),
+        region_um: vec![region.min.x, region.max.x, region.min.y, region.max.y],
+        wavelengths_nm: plan.wavelengths_nm.clone(),
+        field_nodes: Some(plan.field_nodes),
+        grid_width: Some(plan.grid[0]),
+        grid_height: Some(plan.grid[1]),
+        frames,
+        tiles: Some(plan.tile_artifacts.len() as u32),
+        predicted_cones: Some(plan.predicted_cones),
+        artifacts: artifacts.collect(),
+        omissions: omissions.collect(),
+        predicted_seconds: Some(plan.predicted_seconds),
+        predicted_bytes: Some(plan.predicted_bytes),
+        error_estimate: parts.collect(),
+    }
+}
+
+/// A job without its plan.
+pub fn job(state: &State, job: &Job) -> v1::Job {
+    let seconds = |ms: u64| ms as f64 / 1e3;
+    v1::Job {
+        id: Some(job.id.clone()),
+        state: JobState::ALL
+            .iter()
+            .position(|one| *one == job.state)
+            .map(|number| number as i32),
+        experiment_digest: Some(job.experiment_digest.clone()),
+        created_unix_s: Some(seconds(job.created_ms)),
+        finished_unix_s: job.finished_ms.map(seconds),
+        progress: Some(progress(state, job)),
+        error: job.error.clone(),
+        result_digest: job.result_digest.clone(),
+        plan: None,
+        cones: state.first_cones(job).1,
+    }
+}
+
+fn progress(state: &State, job: &Job) -> v1::Progress {
+    let ready = job.artifacts.iter().filter(|key| state.ready(key)).count();
+    let builds_total = if job.state == JobState::Succeeded {
+        ready
+    } else {
+        job.artifacts.len()
+    };
+    let leased = job.shards.iter().any(|shard| shard.lease.phase == Phase::Leased);
+    let stage = match job.state {
+        JobState::Queued => "waiting for a worker".to_owned(),
+        JobState::Running if !job.stage.is_empty() => job.stage.clone(),
+        JobState::Running if leased => "computing counts".to_owned(),
+        JobState::Running => "building artifacts".to_owned(),
+        JobState::Succeeded => "done".to_owned(),
+        JobState::Failed => "failed".to_owned(),
+        JobState::Cancelled => "cancelled".to_owned(),
+    };
+    v1::Progress {
+        builds_done: Some(ready as u32),
+        builds_total: Some(builds_total as u32),
+        shards_done: Some((job.shards.len() - job.left) as u32),
+        shards_total: Some(job.shards.len() as u32),
+        stage: Some(stage),
+    }
+}

@@ -1,0 +1,444 @@
+//! The job machine: whatever happens, in memory and in SQLite the same, and only the holder of a lease writes.
+
+use std::collections::BTreeSet;
+
+use photoneye_server::jobs::memory::MemoryStore;
+use photoneye_server::jobs::sqlite::SqliteStore;
+use photoneye_server::jobs::state::{Summary, WorkId};
+use photoneye_server::jobs::{
+    Command, Commit, JobState, JobStore, NewArtifact, NewJob, Phase, Reply, State, lease, step,
+};
+use photoneye_store::BlobDigest;
+use proptest::prelude::*;
+
+/// A job: two tiles whose cones are both made from one mosaic tile, one kernel, two shards a tile.
+fn job(id: &str, request: Option<(String, String)>) -> NewJob {
+    let artifact = |key: &str, inputs: &[&str]| NewArtifact {
+        key: key.into(),
+        kind: "kind".into(),
+        spec_json: "{}".into(),
+        inputs: inputs.iter().map(ToString::to_string).collect(),
+        predicted_us: 1000,
+    };
+    NewJob {
+        id: id.into(),
+        experiment_digest: "e".into(),
+        experiment_json: "{}".into(),
+        plan_json: "{}".into(),
+        frames: 4,
+        artifacts: vec![
+            artifact("mosaic", &[]),
+            artifact("cones0", &["mosaic"]),
+            artifact("cones1", &["mosaic"]),
+            artifact("kernel", &[]),
+        ],
+        tiles: vec![
+            vec!["cones0".into(), "kernel".into()],
+            vec!["cones1".into(), "kernel".into()],
+        ],
+        shards: vec![(0, 2, 0), (0, 2, 1), (2, 2, 0), (2, 2, 1)],
+        shard_us: 500,
+        request,
+    }
+}
+
+fn create(id: &str) -> Command {
+    Command::Create(Box::new(job(id, None)))
+}
+
+fn take(worker: &str) -> Command {
+    Command::Lease {
+        worker: worker.into(),
+        local: false,
+        holds: BTreeSet::new(),
+    }
+}
+
+/// The right commit for a piece of work; `salt` stands for what the computation gave.
+fn commit(state: &State, id: WorkId, fence: u64, salt: u32) -> Command {
+    let commit = match &id {
+        WorkId::Build(key) => Commit::Artifact {
+            digest: BlobDigest::of(key.as_bytes()),
+            cones: Some(10),
+        },
+        WorkId::Shard(job, number) => {
+            let shard = &state.jobs[job].shards[*number as usize];
+            let frames = shard.first_frame..shard.first_frame + shard.frame_count;
+            let digest = |frame| BlobDigest::of(format!("{frame} {} {salt}", shard.tile).as_bytes());
+            Commit::Shard(
+                frames
+                    .map(|frame| (frame, digest(frame), Summary::default()))
+                    .collect(),
+            )
+        }
+    };
+    Command::Commit {
+        id,
+        fence,
+        commit,
+        report_json: Some("{}".into()),
+    }
+}
+
+/// Runs everything that there is to do.
+fn drain(state: &mut State) -> usize {
+    for done in 0.. {
+        let Reply::Leased(Some((id, fence))) = step(state, take("w"), 0).reply else {
+            return done;
+        };
+        let command = commit(state, id, fence, 0);
+        assert_eq!(step(state, command, 0).reply, Reply::Held(true));
+    }
+    unreachable!()
+}
+
+#[test]
+fn a_job_runs_to_its_end_and_shares_its_artifacts() {
+    let mut state = State::default();
+    step(&mut state, create("a"), 0);
+    step(&mut state, create("b"), 0);
+    assert_eq!(drain(&mut state), 4 + 4 + 4);
+    let (a, b) = (&state.jobs["a"], &state.jobs["b"]);
+    assert_eq!((a.state, b.state), (JobState::Succeeded, JobState::Succeeded));
+    assert_eq!(a.result_digest, b.result_digest);
+    let mut numbers: Vec<u64> = a.chunks.values().map(|chunk| chunk.seq).collect();
+    numbers.sort_unstable();
+    assert_eq!(numbers, (1..=8).collect::<Vec<_>>());
+    assert_eq!(a.chunks[&(0, 1)].first_cone, 10);
+    assert_eq!(state.first_cones(a), (vec![0, 10], Some(20)));
+}
+
+#[test]
+fn a_superseded_lease_cannot_commit() {
+    let mut state = State::default();
+    step(&mut state, create("a"), 0);
+    let Reply::Leased(Some((id, old))) = step(&mut state, take("w"), 0).reply else {
+        panic!()
+    };
+    step(&mut state, Command::Reap, lease::TTL_MS);
+    let Reply::Leased(Some((again, new))) = step(&mut state, take("w"), lease::TTL_MS).reply else {
+        panic!()
+    };
+    assert_eq!(again, id);
+    let late = commit(&state, id.clone(), old, 1);
+    assert_eq!(step(&mut state, late, lease::TTL_MS).reply, Reply::Held(false));
+    assert!(!state.ready("kernel") && !state.ready("mosaic"));
+    let right = commit(&state, id, new, 0);
+    assert_eq!(step(&mut state, right, lease::TTL_MS).reply, Reply::Held(true));
+}
+
+#[test]
+fn a_deterministic_failure_ends_every_job_that_needs_the_work() {
+    let mut state = State::default();
+    step(&mut state, create("a"), 0);
+    step(&mut state, create("b"), 0);
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else {
+        panic!()
+    };
+    let fail = Command::Fail {
+        id,
+        fence,
+        message: "no such eye".into(),
+        deterministic: true,
+    };
+    step(&mut state, fail, 5);
+    for job in state.jobs.values() {
+        assert_eq!(job.state, JobState::Failed);
+        assert_eq!(job.error.as_deref(), Some("building kind: no such eye"));
+    }
+    assert_eq!(step(&mut state, take("w"), 5).reply, Reply::Leased(None));
+    // The next job tries again.
+    step(&mut state, create("c"), 6);
+    assert_eq!(drain(&mut state), 8);
+    assert_eq!(state.jobs["c"].state, JobState::Succeeded);
+}
+
+#[test]
+fn a_cancelled_job_gives_its_work_back() {
+    let mut state = State::default();
+    step(&mut state, create("a"), 0);
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else {
+        panic!()
+    };
+    assert_eq!(
+        step(&mut state, Command::Cancel("a".into()), 1).reply,
+        Reply::Done
+    );
+    assert_eq!(
+        step(&mut state, Command::Cancel("x".into()), 1).reply,
+        Reply::NoSuchJob
+    );
+    let beat = Command::Beat {
+        id: id.clone(),
+        fence,
+        stage: String::new(),
+    };
+    assert_eq!(step(&mut state, beat, 2).reply, Reply::Held(false));
+    assert_eq!(step(&mut state, take("w"), 2).reply, Reply::Leased(None));
+    assert!(
+        state.jobs["a"]
+            .shards
+            .iter()
+            .all(|shard| shard.lease.phase == Phase::Cancelled)
+    );
+}
+
+#[test]
+fn lost_bytes_are_made_again() {
+    let mut state = State::default();
+    step(&mut state, create("a"), 0);
+    drain(&mut state);
+    let before = state.jobs["a"].clone();
+    step(&mut state, Command::LostChunk("a".into(), 3, 1), 1);
+    step(&mut state, Command::LostArtifact("kernel".into()), 1);
+    assert_eq!(state.jobs["a"].state, JobState::Running);
+    assert_eq!(drain(&mut state), 2);
+    let after = &state.jobs["a"];
+    assert_eq!(
+        (&after.chunks, &after.result_digest),
+        (&before.chunks, &before.result_digest)
+    );
+    assert_eq!(state.nondeterministic, 0);
+    // Without a job that needs it, an artifact is made again when somebody asks.
+    step(&mut state, Command::LostArtifact("cones1".into()), 2);
+    assert_eq!(drain(&mut state), 1);
+    assert!(state.ready("cones1"));
+}
+
+#[test]
+fn another_result_for_the_same_work_raises_the_alarm() {
+    let mut state = State::default();
+    step(&mut state, create("a"), 0);
+    drain(&mut state);
+    step(&mut state, Command::LostChunk("a".into(), 0, 0), 1);
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 1).reply else {
+        panic!()
+    };
+    let other = commit(&state, id, fence, 1);
+    step(&mut state, other, 1);
+    assert_eq!(state.nondeterministic, 2);
+}
+
+#[test]
+fn a_short_job_does_not_wait_for_a_long_one() {
+    let mut state = State::default();
+    let mut long = job("long", None);
+    long.shards = (0..1000).map(|i| (2 * i, 2, 0)).collect();
+    step(&mut state, Command::Create(Box::new(long)), 0);
+    for _ in 0..50 {
+        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else {
+            panic!()
+        };
+        let command = commit(&state, id, fence, 0);
+        step(&mut state, command, 0);
+    }
+    step(&mut state, create("short"), 0);
+    for _ in 0..12 {
+        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else {
+            panic!()
+        };
+        let command = commit(&state, id, fence, 0);
+        step(&mut state, command, 0);
+    }
+    assert_eq!(state.jobs["short"].state, JobState::Succeeded);
+}
+
+/// What a random caller does; numbers choose among what there is.
+#[derive(Clone, Debug)]
+enum Deed {
+    Create(u8),
+    Take,
+    Commit { which: usize, salt: u32, stale: bool },
+    Fail { which: usize, deterministic: bool },
+    Release(usize),
+    Beat(usize),
+    Cancel(u8),
+    Wait(u64),
+    LostArtifact(u8),
+    LostChunk(u8, u32, u32),
+    Restart,
+}
+
+fn deed() -> impl Strategy<Value = Deed> {
+    prop_oneof![
+        2 => (0..6_u8).prop_map(Deed::Create),
+        12 => Just(Deed::Take),
+        10 => (0..4_usize, 0..20_u32, any::<bool>()).prop_map(|(which, salt, stale)| {
+            Deed::Commit { which, salt: u32::from(salt == 0), stale: stale && salt < 5 }
+        }),
+        1 => (0..4_usize, 0..8_u8).prop_map(|(which, d)| Deed::Fail { which, deterministic: d == 0 }),
+        1 => (0..4_usize).prop_map(Deed::Release),
+        1 => (0..4_usize).prop_map(Deed::Beat),
+        1 => (0..6_u8).prop_map(Deed::Cancel),
+        2 => (0..2 * lease::TTL_MS).prop_map(Deed::Wait),
+        1 => (0..4_u8).prop_map(Deed::LostArtifact),
+        1 => (0..6_u8, 0..5_u32, 0..3_u32).prop_map(|(j, f, t)| Deed::LostChunk(j, f, t)),
+        1 => Just(Deed::Restart),
+    ]
+}
+
+/// The command of a deed in a state; `None` when there is nothing to do it to.
+fn command(deed: &Deed, state: &State, count: usize) -> Option<Command> {
+    let held = |which: usize| {
+        let id = state
+            .leased
+            .iter()
+            .nth(which % state.leased.len().max(1))?
+            .clone();
+        let fence = state.lease(&id)?.fence;
+        Some((id, fence))
+    };
+    Some(match deed {
+        Deed::Create(n) => {
+            let request = (*n < 3).then(|| (format!("request {n}"), format!("body {}", n % 2)));
+            Command::Create(Box::new(job(&format!("job {count}"), request)))
+        }
+        Deed::Take => take("w"),
+        Deed::Commit { which, salt, stale } => {
+            let (id, fence) = held(*which)?;
+            commit(state, id, fence - u64::from(*stale), *salt)
+        }
+        Deed::Fail { which, deterministic } => {
+            let (id, fence) = held(*which)?;
+            Command::Fail {
+                id,
+                fence,
+                message: "m".into(),
+                deterministic: *deterministic,
+            }
+        }
+        Deed::Release(which) => {
+            let (id, fence) = held(*which)?;
+            Command::Release { id, fence }
+        }
+        Deed::Beat(which) => {
+            let (id, fence) = held(*which)?;
+            Command::Beat {
+                id,
+                fence,
+                stage: "s".into(),
+            }
+        }
+        Deed::Cancel(n) => Command::Cancel(format!("job {n}")),
+        Deed::Wait(_) => Command::Reap,
+        Deed::LostArtifact(n) => {
+            Command::LostArtifact(["mosaic", "cones0", "cones1", "kernel"][*n as usize].into())
+        }
+        Deed::LostChunk(n, frame, tile) => Command::LostChunk(format!("job {n}"), *frame, *tile),
+        Deed::Restart => return None,
+    })
+}
+
+/// What is not stored does not count.
+fn stored(state: &State) -> State {
+    let mut state = state.clone();
+    state.asked.clear();
+    state.nondeterministic = 0;
+    state.jobs.values_mut().for_each(|job| {
+        job.stage.clear();
+        job.open.retain(|_, shards| !shards.is_empty());
+    });
+    state.index(0);
+    state
+        .jobs
+        .values_mut()
+        .for_each(|job| job.open.retain(|_, shards| !shards.is_empty()));
+    state
+}
+
+/// What must hold in every state.
+fn check(state: &State) {
+    for job in state.jobs.values() {
+        let done = job
+            .shards
+            .iter()
+            .filter(|shard| shard.lease.phase == Phase::Done)
+            .count();
+        assert_eq!(job.left, job.shards.len() - done);
+        assert_eq!(job.state == JobState::Succeeded, job.left == 0, "{job:?}");
+        assert_eq!(job.result_digest.is_some(), job.state == JobState::Succeeded);
+        assert_eq!(job.state.active(), state.active.contains(&job.id));
+        let mut numbers: Vec<u64> = job.chunks.values().map(|chunk| chunk.seq).collect();
+        numbers.sort_unstable();
+        assert!(
+            numbers.into_iter().eq(1..=job.chunks.len() as u64),
+            "numbers are dense"
+        );
+        if !job.state.active() {
+            let over = |phase| matches!(phase, Phase::Done | Phase::Cancelled | Phase::Failed);
+            assert!(
+                job.shards.iter().all(|shard| over(shard.lease.phase)),
+                "nothing is handed out for a job that ended"
+            );
+        }
+    }
+    for artifact in state.artifacts.values() {
+        assert_eq!(artifact.lease.phase == Phase::Done, artifact.digest.is_some());
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 120, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn memory_and_sqlite_agree(deeds in prop::collection::vec(deed(), 1..120)) {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            let folder = tempfile::tempdir().unwrap();
+            let file = folder.path().join("jobs.db");
+            let mut memory = MemoryStore::default();
+            let mut sqlite = SqliteStore::open(&file, 0).await.unwrap();
+            let mut now = 0;
+            for (count, deed) in deeds.iter().enumerate() {
+                if let Deed::Wait(ms) = deed {
+                    now += ms;
+                }
+                let Some(command) = command(deed, memory.state(), count) else {
+                    drop(sqlite);
+                    sqlite = SqliteStore::open(&file, now).await.unwrap();
+                    assert_eq!(stored(sqlite.state()), stored(memory.state()));
+                    // The restart gave new terms and forgot who asked; let both begin from there.
+                    memory = MemoryStore::of(sqlite.state().clone());
+                    continue;
+                };
+                let a = memory.execute(command.clone(), now).await.unwrap();
+                let b = sqlite.execute(command, now).await.unwrap();
+                assert_eq!(a, b);
+                check(memory.state());
+            }
+            assert_eq!(memory.state(), sqlite.state());
+        });
+    }
+}
+
+/// `cargo test --release -p photoneye-server --test machine speed -- --ignored --nocapture`
+#[tokio::test]
+#[ignore = "a measurement"]
+async fn speed_of_lease_and_commit() {
+    let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+    let mut store = SqliteStore::open(&folder.path().join("jobs.db"), 0)
+        .await
+        .unwrap();
+    let mut long = job("a", None);
+    long.shards = (0..5000).map(|i| (2 * i, 2, 0)).collect();
+    store.execute(Command::Create(Box::new(long)), 0).await.unwrap();
+    let start = std::time::Instant::now();
+    let mut count = 0;
+    while let Reply::Leased(Some((id, fence))) = store.execute(take("w"), 0).await.unwrap() {
+        let command = commit(store.state(), id, fence, 0);
+        store.execute(command, 0).await.unwrap();
+        count += 1;
+    }
+    let rate = f64::from(count) / start.elapsed().as_secs_f64();
+    println!("{count} leases and commits, {rate:.0} per second");
+    let start = std::time::Instant::now();
+    drop(store);
+    let store = SqliteStore::open(&folder.path().join("jobs.db"), 0)
+        .await
+        .unwrap();
+    println!(
+        "opened again in {:?}, job {:?}",
+        start.elapsed(),
+        store.state().jobs["a"].state
+    );
+}

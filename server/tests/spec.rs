@@ -1,0 +1,215 @@
+//! Specs: defaults, presets with overrides, and errors that name the field, its value and what is allowed.
+
+use photoneye_eye::display::White;
+use photoneye_eye::experiment::{Experiment, Movement, Video};
+use photoneye_proto::experiment_from_json;
+use photoneye_server::spec::experiment;
+use serde_json::{Value, json};
+
+fn read(spec: &Value) -> Result<Experiment, String> {
+    let message = experiment_from_json(&spec.to_string()).map_err(|error| error.to_string())?;
+    experiment(&message).map_err(|error| error.to_string())
+}
+
+/// A small spec with one part replaced.
+fn with(part: &str, value: Value) -> Value {
+    let mut spec =
+        json!({"display": {"preset": "lcos-3chip"}, "video": {"pattern": {"uniform": {"rgb": [0, 0.5, 1]}}}});
+    spec[part] = value;
+    spec
+}
+
+#[test]
+fn defaults_are_filled_in() {
+    let read = read(&with("eye", json!({}))).unwrap();
+    assert_eq!(
+        (read.eye.pupil_mm.to_bits(), read.retina.seed, read.frames),
+        (3.0_f64.to_bits(), 1, 1)
+    );
+    assert_eq!(read.gaze.movement, Movement::Still);
+    assert_eq!(read.gaze.center_px, [15.0, 15.0]);
+    assert!(
+        (read.eye.focus_distance_cm - 800.0).abs() < 1e-9,
+        "the display's distance"
+    );
+    assert_eq!(read.display.primaries.len(), 3);
+}
+
+#[test]
+fn zero_is_a_value_and_minus_zero_is_zero() {
+    let drift = json!({"movement": {"drift": {"speed_arcmin_per_s": 0}}});
+    let zero = read(&with("gaze", drift)).unwrap();
+    assert!(
+        matches!(zero.gaze.movement, Movement::Drift { speed_arcmin_per_s, .. } if speed_arcmin_per_s.to_bits() == 0)
+    );
+    let minus = read(&with(
+        "gaze",
+        json!({"movement": {"drift": {"speed_arcmin_per_s": -0.0}}}),
+    ))
+    .unwrap();
+    assert_eq!(zero.digest().unwrap(), minus.digest().unwrap());
+}
+
+#[test]
+fn a_preset_is_overridden_field_by_field_and_primaries_whole() {
+    let line = json!([{"name": "green", "spectrum": {"line": {"nm": 543}}}]);
+    let display = json!({"preset": "lcos-3chip", "lumens": 5, "width_px": 7, "primaries": line});
+    let read = read(&with("display", display)).unwrap().display;
+    assert_eq!((read.width_px, read.height_px, read.primaries.len()), (7, 30, 1));
+    assert_eq!(read.white, White::Lumens(5.0));
+    assert_eq!(read.primaries[0].rects, [[0.0, 0.0, 1.0, 1.0]]);
+}
+
+#[test]
+fn cone_shares_are_scaled_to_one() {
+    let read = read(&with("retina", json!({"cone_ratio": {"l": 2, "m": 1, "s": 1}}))).unwrap();
+    assert_eq!(read.retina.cone_ratio, [0.5, 0.25, 0.25]);
+}
+
+#[test]
+fn frames_follow_the_pictures() {
+    let blob = photoneye_store::BlobDigest::of(b"").to_string();
+    let read = read(&with("video", json!({"clip": {"blobs": [blob, blob]}}))).unwrap();
+    assert_eq!(read.frames, 2);
+    assert!(matches!(read.video, Video::Clip(blobs) if blobs.len() == 2));
+}
+
+#[test]
+fn errors_name_the_field_and_what_is_allowed() {
+    let cases = [
+        (
+            "eye",
+            json!({"pupil_mm": 12}),
+            "eye.pupil_mm: 12 is out of range, allowed is 0.5 to 9",
+        ),
+        ("eye", json!({"preset": "cat"}), "eye.preset: unknown eye `cat`"),
+        (
+            "eye",
+            json!({"stiles_crawford": {"rho_per_mm2": 1}}),
+            "eye.stiles_crawford.rho_per_mm2: 1 is out of range",
+        ),
+        (
+            "retina",
+            json!({"generator": "RING"}),
+            "retina.generator: `RING` is not built yet",
+        ),
+        (
+            "retina",
+            json!({"region_deg": {"x_min": 0}}),
+            "retina.region_deg.x_max: is missing",
+        ),
+        (
+            "retina",
+            json!({"cone_ratio": {"l": 0, "m": 0, "s": 0}}),
+            "retina.cone_ratio: the shares are all 0",
+        ),
+        (
+            "retina",
+            json!({"cone_ratio": {"l": -1}}),
+            "retina.cone_ratio.l: -1 is out of range",
+        ),
+        ("display", json!({}), "display.white_luminance_cd_m2: is missing"),
+        (
+            "display",
+            json!({"preset": "x"}),
+            "display.preset: unknown display `x`, expected one of `",
+        ),
+        (
+            "display",
+            json!({"preset": "lcos-3chip", "lumens": 1, "white_luminance_cd_m2": 1}),
+            "display.lumens: excludes",
+        ),
+        (
+            "display",
+            json!({"preset": "lcos-3chip", "width_px": 0}),
+            "display.width_px: 0 is out of range, allowed is 1 to 4096",
+        ),
+        (
+            "display",
+            json!({"preset": "lcos-3chip", "primaries": [{"name": "red", "spectrum": {}}]}),
+            "display.primaries[0].spectrum: is empty, expected one of `line`, `named`, `table`, `equal_energy`",
+        ),
+        (
+            "display",
+            json!({"preset": "lcos-3chip", "primaries": [{"name": "pink"}]}),
+            "display.primaries[0].name: unknown primary `pink`",
+        ),
+        (
+            "video",
+            json!({"files": {"paths": ["/etc/passwd"]}}),
+            "video.files: the server reads no files",
+        ),
+        ("video", json!({}), "video: is empty, expected one of"),
+        (
+            "video",
+            json!({"pattern": {"uniform": {"rgb": [1, 2]}}}),
+            "video.pattern.uniform.rgb: 2 values, expected 3",
+        ),
+        (
+            "video",
+            json!({"pattern": {"uniform": {"rgb": [1, 2, 0]}}}),
+            "video.pattern.uniform.rgb[1]: 2 is out of range",
+        ),
+        (
+            "video",
+            json!({"clip": {"blobs": ["x"]}}),
+            "video.clip.blobs[0]: `x` is not a digest",
+        ),
+        (
+            "video",
+            json!({"clip": {"blobs": []}}),
+            "video.clip.blobs: 0 is out of range",
+        ),
+        (
+            "gaze",
+            json!({"center_px": [1]}),
+            "gaze.center_px: 1 values, expected 2",
+        ),
+        (
+            "counts",
+            json!({"engine": "EVENTS"}),
+            "counts.engine: `EVENTS` is not built yet",
+        ),
+        ("counts", json!({"noise": 7}), "counts.noise: invalid value"),
+        (
+            "frames",
+            json!({"count": 0}),
+            "frames.count: 0 is out of range, allowed is 1 to 100000",
+        ),
+        (
+            "accuracy",
+            json!({"target": 1}),
+            "accuracy.target: 1 is out of range",
+        ),
+    ];
+    for (part, value, expected) in cases {
+        let error = read(&with(part, value.clone())).unwrap_err();
+        assert!(error.starts_with(expected), "{value} gave: {error}");
+    }
+}
+
+/// Over gRPC numbers may come that JSON cannot say.
+#[test]
+fn what_only_binary_messages_can_say_is_refused_too() {
+    let message = |change: &dyn Fn(&mut photoneye_proto::v1::Experiment)| {
+        let mut message = experiment_from_json(&with("eye", json!({})).to_string()).unwrap();
+        change(&mut message);
+        experiment(&message).unwrap_err().to_string()
+    };
+    let nan = message(&|m| m.eye.as_mut().unwrap().pupil_mm = Some(f64::NAN));
+    assert!(nan.starts_with("eye.pupil_mm: NaN is out of range"), "{nan}");
+    let infinite = message(&|m| m.display.as_mut().unwrap().distance_cm = Some(f64::INFINITY));
+    assert!(infinite.starts_with("display.distance_cm: inf"), "{infinite}");
+    let side = message(&|m| m.eye.as_mut().unwrap().side = Some(9));
+    assert_eq!(
+        side,
+        "eye.side: unknown variant `9`, expected one of `RIGHT`, `LEFT`"
+    );
+}
+
+#[test]
+fn every_display_of_the_catalogue_fits() {
+    for name in photoneye_eye::catalog::names("displays") {
+        read(&with("display", json!({"preset": name}))).unwrap();
+    }
+}
