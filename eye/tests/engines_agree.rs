@@ -39,7 +39,7 @@ fn sums(experiment: &Experiment, frames: u32) -> (Vec<f64>, PhotonBudget) {
         let frame = exposure.frame(index, None).unwrap();
         match frame.counts {
             FrameCounts::Counts(values) => {
-                counts.iter_mut().zip(values).for_each(|(s, v)| *s += f64::from(v))
+                counts.iter_mut().zip(values).for_each(|(s, v)| *s += f64::from(v));
             }
             FrameCounts::Means(values) => counts.iter_mut().zip(values).for_each(|(s, v)| *s += f64::from(v)),
         }
