@@ -6,9 +6,9 @@ use std::time::Duration;
 use bytes::Bytes;
 use futures::Stream;
 use photoneye_proto::v1;
+use photoneye_store::BlobDigest;
 use photoneye_store::npy::{self, Scalar};
 use photoneye_store::table::{Chunk, CountsTable, CountsVec, read_counts};
-use photoneye_store::BlobDigest;
 
 use crate::error::{Error, Kind};
 use crate::jobs::{Command, JobState};
