@@ -15,7 +15,7 @@ use crate::jobs::{Command, JobState};
 use crate::service::Service;
 
 /// How long a request waits for lost bytes to be made again.
-const REMAKE: Duration = Duration::from_secs(120);
+const REMAKE: Duration = Duration::from_mins(2);
 
 /// What follows in the stream of results.
 enum Next {

@@ -1,4 +1,9 @@
 //! Both doors over real sockets: a job from its submission to its results, errors, uploads, restarts.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test says by panicking what is wrong"
+)]
 
 mod common;
 

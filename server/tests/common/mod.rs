@@ -1,6 +1,5 @@
 //! A server in a temporary folder, a plain HTTP client, and a worker that makes up its results.
-#![allow(dead_code, reason = "each test file uses its part")]
-
+use std::fmt::Write as _;
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 
@@ -59,10 +58,10 @@ pub async fn http(
 ) -> Answer {
     let mut head = format!("{method} {path} HTTP/1.0\r\nhost: test\r\n");
     for (name, value) in headers {
-        head += &format!("{name}: {value}\r\n");
+        let _ = write!(head, "{name}: {value}\r\n");
     }
     if !body.is_empty() {
-        head += &format!("content-length: {}\r\n", body.len());
+        let _ = write!(head, "content-length: {}\r\n", body.len());
     }
     let request = [head.as_bytes(), b"\r\n", body].concat();
     let exchange = move || {
