@@ -221,7 +221,7 @@ async fn a_repeated_request_is_one_job() {
     assert_eq!(list["jobs"].as_array().unwrap().len(), 1);
     // The form that MATLAB and Octave send.
     let form = [("content-type", "application/x-www-form-urlencoded")];
-    let encoded: String = text.bytes().map(|byte| format!("%{byte:02X}")).collect();
+    let encoded = text.bytes().map(|byte| format!("%{byte:02X}")).collect::<Vec<_>>().concat();
     let body = format!("spec={encoded}");
     let sent = http(server.local_addr(), "POST", "/v1/jobs", &form, body.as_bytes()).await;
     assert_eq!(sent.status, 201, "{}", sent.text());
