@@ -180,6 +180,8 @@ pub struct PaperSettings {
     pub samples: u32,
     /// Least width of the point spread's window, µm.
     pub window_um: f64,
+    /// Spacing of the point spreads on the retina, µm.
+    pub node_um: f64,
 }
 
 impl Default for PaperSettings {
@@ -188,6 +190,7 @@ impl Default for PaperSettings {
             rays: 1024,
             samples: 128,
             window_um: 20.0,
+            node_um: 300.0,
         }
     }
 }
@@ -275,6 +278,12 @@ impl Experiment {
             self.counts.paper.window_um,
             5.0,
             2000.0,
+        )?;
+        check_range(
+            "counts.settings.paper_node_um",
+            self.counts.paper.node_um,
+            10.0,
+            5000.0,
         )?;
         check_range("accuracy.target", self.accuracy_target, 1e-5, 0.2)?;
         check_range("frames.count", f64::from(self.frames), 1.0, 100_000.0)

@@ -1,6 +1,6 @@
 //! Engine `paper`: §21–22 to the letter, photon by photon. The slow reference and the anchor of every comparison.
 //!
-//! Point spreads of 1024 random rays on 128 x 128 samples, a window of at least 20 µm, renormalized, every 10 nm of wavelength and
+//! Point spreads of 1024 randomly perturbed rays on 128 x 128 samples, a window of at least 20 µm, renormalized, every 10 nm of wavelength and
 //! every 300 µm of retina, held as cumulative tables. Each photon that enters the pupil gets a place in its sub-pixel, a time and
 //! a wavelength; the drift moves its place; the wavelength snaps to the nearest table; the losses and the landing centre are
 //! interpolated between the four nearest nodes, the spread is the nearest one's; the landing point decides the cone, which takes
@@ -33,8 +33,6 @@ use crate::video::Picture;
 const CHANNEL_NM: f64 = 10.0;
 /// Number of channels from 390 to 830 nm.
 const CHANNELS: usize = 45;
-/// Spacing of the nodes on the retina, µm.
-const NODE_UM: f64 = 300.0;
 /// µm of retina per unit tangent that turns that spacing into one on the screen.
 const UM_PER_TANGENT: f64 = 16_440.0;
 /// Pixels in one piece of work.
@@ -109,7 +107,7 @@ impl Paper {
                 }
             })
             .collect();
-        let step = NODE_UM / UM_PER_TANGENT;
+        let step = experiment.counts.paper.node_um / UM_PER_TANGENT;
         let corner = |px: f64, py: f64| scene.tangent(DVec2::new(px, py));
         let (width, height) = (f64::from(scene.size_px[0]), f64::from(scene.size_px[1]));
         let (from, to) = (corner(0.0, height), corner(width, 0.0));
@@ -156,7 +154,7 @@ impl Paper {
 
     /// The point spread of one node and channel.
     fn table(&self, projection: &Projection, node: usize, channel: usize, rho: f64) -> Result<Table, String> {
-        let step = NODE_UM / UM_PER_TANGENT;
+        let step = self.settings.node_um / UM_PER_TANGENT;
         let tangent =
             self.origin + DVec2::new((node % self.nodes[0]) as f64, (node / self.nodes[0]) as f64) * step;
         let nm = MIN_NM + CHANNEL_NM * channel as f64;
@@ -297,7 +295,7 @@ impl Paper {
 
     /// One photon in the pupil, seen at a point of the screen.
     fn photon(&self, seen: DVec2, channel: usize, stream: &mut Stream, tally: &mut Tally) {
-        let grid = (seen - self.origin) / (NODE_UM / UM_PER_TANGENT);
+        let grid = (seen - self.origin) / (self.settings.node_um / UM_PER_TANGENT);
         let most = DVec2::new((self.nodes[0] - 2) as f64, (self.nodes[1] - 2) as f64);
         let cell = grid.floor().clamp(DVec2::ZERO, most);
         let t = grid - cell;
@@ -418,7 +416,8 @@ fn slants(projector: &Projector, projection: &Projection, scene: &Scene) -> Vec<
     slants
 }
 
-/// Random rays through the stop.
+/// Randomly perturbed rays through the stop: one in each cell of a square lattice of k x k <= `rays` cells, which is wrapped onto
+/// the disc without changing areas (Shirley & Chiu 1997).
 fn random_bundle(
     projection: &Projection,
     object: Object,
@@ -428,16 +427,26 @@ fn random_bundle(
     item: u64,
 ) -> Result<PupilBundle, String> {
     let mut stream = Stream::new(seed, Purpose::Rays, 0, item);
-    let points: Vec<(DVec2, f64)> = (0..settings.rays)
-        .map(|_| {
-            let radius = stream.uniform().sqrt();
-            (
-                DVec2::from_angle(std::f64::consts::TAU * stream.uniform()) * radius,
-                1.0,
-            )
+    let side = f64::from(settings.rays).sqrt().floor() as u32;
+    let points: Vec<(DVec2, f64)> = (0..side * side)
+        .map(|cell| {
+            let corner = DVec2::new(f64::from(cell % side), f64::from(cell / side));
+            let place = corner + DVec2::new(stream.uniform(), stream.uniform());
+            (concentric(place * (2.0 / f64::from(side)) - 1.0), 1.0)
         })
         .collect();
     PupilBundle::trace_points(projection.eye(), object, nm, &points, &[]).map_err(|e| e.to_string())
+}
+
+/// The square [-1, 1]² onto the unit disc, squares onto circles.
+fn concentric(p: DVec2) -> DVec2 {
+    if p.x.abs() > p.y.abs() {
+        DVec2::from_angle(std::f64::consts::FRAC_PI_4 * p.y / p.x) * p.x
+    } else if p.y.abs() > 0.0 {
+        DVec2::from_angle(std::f64::consts::FRAC_PI_2 - std::f64::consts::FRAC_PI_4 * p.x / p.y) * p.y
+    } else {
+        DVec2::ZERO
+    }
 }
 
 /// Width of the square around the landing point that holds where all rays land, µm.

@@ -12,7 +12,7 @@ use super::aim::Aimer;
 use super::error::OpticsError;
 use super::object::Object;
 use super::schematic_eye::SchematicEye;
-use super::trace::{Ray, Traced};
+use super::trace::Traced;
 use crate::psf::quadrature::gauss_legendre;
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use std::f64::consts::PI;

@@ -213,7 +213,7 @@ fn half_side_deg(setup: &Setup) -> f64 {
 
 /// Nodes along each side of the patch at which the optics are computed.
 fn field_nodes(experiment: &Experiment, setup: &Setup) -> [u32; 2] {
-    let finer = u32::from(experiment.accuracy_target < 5e-4);
+    let finer = u32::from(experiment.accuracy_target < 5e-3) + u32::from(experiment.accuracy_target < 5e-4);
     let nodes = match half_side_deg(setup) {
         half if half < 0.1 => 1,
         half if half < 1.2 => 2,

@@ -27,7 +27,7 @@ pub struct HuygensOptions {
 }
 
 /// Finite difference step in stop radii.
-const STEP: f64 = 1e-3;
+const STEP: f64 = 2e-4;
 
 /// The point spread, row-major, as [`super::matrix::psf`]: 1 = the same pupil with no path difference, at its centre.
 ///

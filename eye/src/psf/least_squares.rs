@@ -4,59 +4,79 @@
 use super::polynomial::{Polynomial2, count, monomials};
 use glam::DVec2;
 
-/// Fits each right-hand side (one value a point) by a polynomial; the rows are weighted by √weight. A column that adds
-/// nothing gets coefficient 0.
-pub fn fit<const N: usize>(
+/// The triangularized design of one set of points; any number of right-hand sides can be solved with it.
+#[derive(Clone, Debug)]
+pub struct LeastSquares {
     degree: usize,
-    points: &[DVec2],
-    weights: &[f64],
-    mut sides: [Vec<f64>; N],
-) -> [Polynomial2; N] {
-    let (m, n) = (points.len(), count(degree));
-    let mut columns = vec![0.0; m * n];
-    for (row, (p, w)) in points.iter().zip(weights).enumerate() {
-        let root = w.sqrt();
-        monomials(degree, *p, |k, value| columns[k * m + row] = value * root);
-        for side in &mut sides {
-            side[row] *= root;
+    roots: Vec<f64>,
+    /// Column k: the triangle above row k, the reflecting vector from row k on.
+    columns: Vec<f64>,
+    squares: Vec<f64>,
+    diagonal: Vec<f64>,
+}
+
+impl LeastSquares {
+    /// The design of polynomials of a degree over points whose squared errors count by `weights`.
+    pub fn new(degree: usize, points: &[DVec2], weights: &[f64]) -> Self {
+        let (m, n) = (points.len(), count(degree));
+        let roots: Vec<f64> = weights.iter().map(|w| w.sqrt()).collect();
+        let mut columns = vec![0.0; m * n];
+        for (row, (p, root)) in points.iter().zip(&roots).enumerate() {
+            monomials(degree, *p, |k, value| columns[k * m + row] = value * root);
         }
-    }
-    // Triangularize: reflect each column onto the diagonal, the rest and the right-hand sides with it.
-    let mut diagonal = vec![0.0; n];
-    for k in 0..n.min(m) {
-        let (left, right) = columns.split_at_mut((k + 1) * m);
-        let v = &mut left[k * m + k..];
-        let norm = dot(v, v).sqrt();
-        let head = if v[0] > 0.0 { -norm } else { norm };
-        diagonal[k] = head;
-        v[0] -= head;
-        let square = dot(v, v);
-        if square > 0.0 {
-            for other in right.chunks_exact_mut(m).map(|c| &mut c[k..]) {
-                reflect(v, square, other);
-            }
-            for side in &mut sides {
-                reflect(v, square, &mut side[k..]);
+        let (mut diagonal, mut squares) = (vec![0.0; n], vec![0.0; n]);
+        for k in 0..n.min(m) {
+            let (left, right) = columns.split_at_mut((k + 1) * m);
+            let v = &mut left[k * m + k..];
+            let norm = dot(v, v).sqrt();
+            diagonal[k] = if v[0] > 0.0 { -norm } else { norm };
+            v[0] -= diagonal[k];
+            squares[k] = dot(v, v);
+            for other in right.chunks_exact_mut(m) {
+                reflect(v, squares[k], &mut other[k..]);
             }
         }
+        Self {
+            degree,
+            roots,
+            columns,
+            squares,
+            diagonal,
+        }
     }
-    // Solve the triangle backwards.
-    let least = 1e-13 * diagonal.iter().fold(0.0_f64, |a, d| a.max(d.abs()));
-    sides.map(|side| {
+
+    /// The polynomial nearest to one value a point. A column that adds nothing gets coefficient 0.
+    pub fn fit(&self, values: impl Iterator<Item = f64>) -> Polynomial2 {
+        let (m, n) = (self.roots.len(), self.diagonal.len());
+        let mut side: Vec<f64> = values.zip(&self.roots).map(|(v, root)| v * root).collect();
+        side.resize(m, 0.0);
+        let used = n.min(m);
+        for k in 0..used {
+            reflect(
+                &self.columns[k * m + k..(k + 1) * m],
+                self.squares[k],
+                &mut side[k..],
+            );
+        }
+        // Solve the triangle backwards, column by column.
+        let least = 1e-13 * self.diagonal.iter().fold(0.0_f64, |a, d| a.max(d.abs()));
         let mut c = vec![0.0; n];
-        for k in (0..n.min(m)).rev() {
-            let known: f64 = (k + 1..n).map(|l| columns[l * m + k] * c[l]).sum();
-            c[k] = if diagonal[k].abs() > least {
-                (side[k] - known) / diagonal[k]
-            } else {
-                0.0
-            };
+        for k in (0..used).rev() {
+            if self.diagonal[k].abs() > least {
+                c[k] = side[k] / self.diagonal[k];
+                for (above, r) in side.iter_mut().zip(&self.columns[k * m..k * m + k]) {
+                    *above -= r * c[k];
+                }
+            }
         }
-        Polynomial2::new(degree, c)
-    })
+        Polynomial2::new(self.degree, c)
+    }
 }
 
 fn reflect(v: &[f64], square: f64, other: &mut [f64]) {
+    if square <= 0.0 {
+        return;
+    }
     let factor = 2.0 * dot(v, other) / square;
     for (o, v) in other.iter_mut().zip(v) {
         *o -= factor * v;

@@ -1,7 +1,7 @@
 //! The production point spread: Fraunhofer's integral as two matrix products over chord Gauss nodes.
 //!
 //! With p the direction cosines along the grid's axes i and j, the integral over p_i runs along chords of the pupil
-//! (Gauss–Legendre), that over p_j over chords (in τ, see [`super::chords`]):
+//! (Gauss–Legendre), that over p_j over chords (trapezoidal in τ, see [`super::chords`]):
 //! field(ξ_i, ξ_j) = Σ_b exp(−i k' p_b ξ_j) Σ_a P_ab exp(−i k' p_ab ξ_i).
 //! Samples come in pairs ±ξ whose exponentials are conjugate: each product is taken once for both.
 //!
@@ -15,7 +15,7 @@ use super::sincos::sin_cos_turns;
 use super::wavefront::Wavefront;
 use glam::{DMat2, DVec2};
 use serde::{Deserialize, Serialize};
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::PI;
 
 /// Which way the grid's first index runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -168,22 +168,20 @@ fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> Vec<Strip> {
         .fold(0.0, f64::max);
     let reach = spot + std::f64::consts::SQRT_2 * grid.half_width_um;
     let count = |half: f64| {
-        gauss_legendre(
-            grid.nodes
-                .unwrap_or_else(|| nodes_needed(half, wavelength, reach)),
-        )
+        grid.nodes
+            .unwrap_or_else(|| nodes_needed(half, wavelength, reach))
     };
-    let (outer, inner) = (count(chords.half_height()), count(chords.longest().1 / 2.0));
+    let outer = chords.rule(count(chords.half_height()));
+    let inner = gauss_legendre(count(chords.longest().1 / 2.0));
     let turns = w.opd_um.scaled(1.0 / wavelength);
     outer
         .iter()
-        .map(|&(u, wu)| {
-            let chord = chords.at(u * FRAC_PI_2);
+        .map(|&(chord, wu)| {
             let mut sums = vec![[0.0; 4]; half_samples];
             for &(v, wv) in &inner {
                 let p = DVec2::new(chord.middle + 0.5 * chord.length * v, chord.y);
                 let s = from_grid * p - offset;
-                let weight = w.amplitude.at(s) * wu * FRAC_PI_2 * chord.slope * wv * 0.5 * chord.length;
+                let weight = w.amplitude.at(s) * wu * wv * 0.5 * chord.length;
                 let shift = (p.x * e_i + p.y * e_j).dot(grid.centre_um) / wavelength;
                 let (sin, cos) = sin_cos_turns(turns.at(s) - shift);
                 accumulate(&mut sums, weight * cos, weight * sin, p.x / wavelength, grid);

@@ -17,11 +17,22 @@ use super::sincos::sin_cos_turns;
 use super::wavefront::Wavefront;
 use glam::{DMat2, DVec2};
 use rustfft::num_complex::Complex64;
+use std::f64::consts::PI;
 
-/// Most nodes along or across; reached only beyond some hundred waves of defocus, where the transfer is nearly 0.
+/// Most nodes along or across. A phase difference that needs more swings through some thousand radians over the pupil:
+/// the transfer is below about 1/1000 there and is returned as 0.
 const MOST_NODES: usize = 1024;
-/// Nodes are taken in steps of this many, so that few rules are kept.
-const STEP: usize = 4;
+/// Nodes along a chord come in blocks of this many, for vector code.
+const LANES: usize = 4;
+/// Nodes along and across for a phase that does not swing; these and the factors of the swing are measured, see the test
+/// `node_rule_has_a_margin`.
+const FLOOR_ALONG: f64 = 6.0;
+const FLOOR_ACROSS: f64 = 9.0;
+
+/// Swing from which the phase difference is sampled, because its bound is too wide.
+const MEASURE_ABOVE: f64 = 8.0;
+/// Samples of it along and across.
+const PROBES: usize = 14;
 
 /// The transfer function of one wavefront.
 #[derive(Clone, Debug)]
@@ -35,8 +46,10 @@ pub struct Otf {
     outline: Outline,
     energy: f64,
     throughput: f64,
-    /// Largest second derivative of the path difference, waves per squared pupil coordinate.
-    bend: f64,
+    /// Second derivatives of the path difference on a sample of the pupil, waves per squared pupil coordinate.
+    bends: Vec<DMat2>,
+    /// Nodes for an amplitude that falls towards the edge: none when it is even, 10 when it vanishes there.
+    fading: f64,
     /// More nodes than needed by this factor, for tests.
     margin: f64,
 }
@@ -48,6 +61,9 @@ struct Turned {
     amplitude: Polynomial2,
     peak: f64,
     longest: f64,
+    /// Largest second derivatives by a twice, and by a and b.
+    bend_along: f64,
+    bend_across: f64,
     rules: Vec<Option<Vec<(f64, f64)>>>,
 }
 
@@ -57,13 +73,16 @@ impl Otf {
         let turns = w.opd_um.scaled(1.0 / w.wavelength_um());
         let [gx, gy] = turns.gradient();
         let ([xx, xy], [_, yy]) = (gx.gradient(), gy.gradient());
-        let bend = w
+        let bends = w
             .samples()
-            .map(|s| {
-                let (a, b, c) = (xx.at(s), xy.at(s), yy.at(s));
-                0.5 * ((a + c).abs() + (a - c).hypot(2.0 * b))
-            })
-            .fold(0.0, f64::max);
+            .map(|s| DMat2::from_cols_array(&[xx.at(s), xy.at(s), xy.at(s), yy.at(s)]))
+            .collect();
+        let (least, most) = w
+            .samples()
+            .map(|s| w.amplitude.at(s))
+            .fold((f64::MAX, 0.0_f64), |(least, most), a| {
+                (least.min(a), most.max(a))
+            });
         Self {
             wavelength_um: w.wavelength_um(),
             pupil_from_cosines: w.axes.inverse(),
@@ -72,7 +91,12 @@ impl Otf {
             outline: w.outline.clone(),
             energy: w.energy_open,
             throughput: w.throughput(),
-            bend,
+            fading: if most > 0.0 {
+                10.0 * (1.0 - least.max(0.0) / most)
+            } else {
+                0.0
+            },
+            bends,
             margin: 1.0,
         }
     }
@@ -124,13 +148,22 @@ impl Otf {
         let angle = shift.y.atan2(shift.x);
         let chords = Chords::new(&self.outline.mapped(DMat2::from_angle(-angle), DVec2::ZERO));
         let (peak, longest) = chords.longest();
+        let (a, b) = (DVec2::from_angle(angle), DVec2::from_angle(angle).perp());
+        let largest = |v: DVec2| {
+            self.bends
+                .iter()
+                .map(|m| (*m * a).dot(v).abs())
+                .fold(0.0, f64::max)
+        };
         let turned = Turned {
+            bend_along: largest(a),
+            bend_across: largest(b),
             chords,
             turns: self.turns.rotated(angle),
             amplitude: self.amplitude.rotated(angle),
             peak,
             longest,
-            rules: vec![None; MOST_NODES / STEP + 1],
+            rules: vec![None; MOST_NODES + 1],
         };
         (turned, shift.length())
     }
@@ -140,18 +173,27 @@ impl Otf {
         if delta >= t.longest || delta.is_nan() {
             return Complex64::ZERO;
         }
-        // The phase difference bends at most bend·δ a unit length: half its swing along and across the overlap.
-        let swing = std::f64::consts::TAU * self.bend * delta * 0.5;
-        let along = self.nodes(0.5 * swing * (t.longest - delta), 8.0);
-        let across = self.nodes(0.7 * swing * (t.longest - delta).max(0.5 * t.longest), 8.0);
+        let (low, high) = t.chords.ends(t.peak, t.longest, delta);
+        let (tau_mid, tau_half) = (f64::midpoint(low, high), (high - low) / 2.0);
+        // Half the swing of the phase difference over the overlap, along a chord and across the chords; what is left
+        // of a chord's own swing after the sum along it varies across them too.
+        let height = (t.chords.at(high).y - t.chords.at(low).y) / 2.0;
+        let mut swing_along = PI * t.bend_along * delta * (t.longest - delta) / 2.0;
+        let mut swing_across = 1.3 * PI * t.bend_across * delta * height + swing_along;
+        if swing_along.max(swing_across) > MEASURE_ABOVE {
+            let (a, b) = t.measured_swings(delta, tau_mid, tau_half);
+            (swing_along, swing_across) = (swing_along.min(a), swing_across.min(b + 0.2 * a));
+        }
+        let along = self.nodes(LANES, FLOOR_ALONG + self.fading + 1.05 * swing_along);
+        let across = self.nodes(2, FLOOR_ACROSS + self.fading + swing_across);
+        if along.max(across) > MOST_NODES {
+            return Complex64::ZERO;
+        }
         prepare(&mut t.rules, along);
         prepare(&mut t.rules, across);
-        let (Some(Some(inner)), Some(Some(outer))) = (t.rules.get(along / STEP), t.rules.get(across / STEP))
-        else {
+        let (Some(Some(inner)), Some(Some(outer))) = (t.rules.get(along), t.rules.get(across)) else {
             return Complex64::ZERO;
         };
-        let (low, high) = t.chords.ends(t.peak, t.longest, delta);
-        let (tau_mid, tau_half) = ((low + high) / 2.0, (high - low) / 2.0);
         let mut turns = [0.0; 24];
         let mut amplitude = [0.0; 24];
         let (turns, amplitude) = (
@@ -172,14 +214,46 @@ impl Otf {
         Complex64::new(re, im)
     }
 
-    fn nodes(&self, half_omega: f64, floor: f64) -> usize {
-        let wanted = self.margin * (1.05 * half_omega + floor);
-        (wanted / STEP as f64).ceil().min((MOST_NODES / STEP) as f64) as usize * STEP
+    fn nodes(&self, step: usize, wanted: f64) -> usize {
+        (self.margin * wanted / step as f64).ceil().min(1e6) as usize * step
+    }
+}
+
+impl Turned {
+    /// Half the swing of the phase difference, along the chords and across them at a fixed part of the chord. Gauss
+    /// nodes are dense at the ends: what counts is the slope by the angle θ of x = cos θ, between Gauss probes.
+    fn measured_swings(&self, delta: f64, tau_mid: f64, tau_half: f64) -> (f64, f64) {
+        let theta = |k: usize| PI * (k as f64 + 0.75) / (PROBES as f64 + 0.5);
+        let mut line = vec![0.0; self.turns.degree() + 1];
+        let mut last = [0.0; PROBES];
+        let (mut along, mut across) = (0.0_f64, 0.0_f64);
+        for j in 0..PROBES {
+            let chord = self.chords.at(tau_mid + tau_half * theta(j).cos());
+            let half = (chord.length - delta).max(0.0) / 2.0;
+            self.turns.along_x(chord.y, &mut line);
+            let phase: [f64; PROBES] = std::array::from_fn(|k| {
+                let far = chord.middle + 0.5 * delta + half * theta(k).cos();
+                horner(&line, far - delta) - horner(&line, far)
+            });
+            for k in 1..PROBES {
+                along = along.max((phase[k] - phase[k - 1]).abs());
+            }
+            if j > 0 {
+                across = phase
+                    .iter()
+                    .zip(&last)
+                    .fold(across, |m, (p, l)| m.max((p - l).abs()));
+            }
+            last = phase;
+        }
+        // Turns a probe step, to half the radians a unit of θ; half as much again for what lies between the probes.
+        let scale = 1.5 * PI / (theta(1) - theta(0));
+        (along * scale, across * scale)
     }
 }
 
 fn prepare(rules: &mut [Option<Vec<(f64, f64)>>], nodes: usize) {
-    if let Some(rule @ None) = rules.get_mut(nodes / STEP) {
+    if let Some(rule @ None) = rules.get_mut(nodes) {
         *rule = Some(gauss_legendre(nodes));
     }
 }
@@ -193,29 +267,29 @@ fn along_chord(
     turns: &[f64],
     amplitude: &[f64],
 ) -> (f64, f64) {
-    let (mut re, mut im) = ([0.0; STEP], [0.0; STEP]);
-    for block in rule.chunks_exact(STEP) {
-        let far: [f64; STEP] = std::array::from_fn(|l| middle + 0.5 * delta + half * block[l].0);
-        let near: [f64; STEP] = std::array::from_fn(|l| far[l] - delta);
-        let mut phase = [0.0; STEP];
-        let (mut w_far, mut w_near) = ([0.0; STEP], [0.0; STEP]);
+    let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);
+    for block in rule.chunks_exact(LANES) {
+        let far: [f64; LANES] = std::array::from_fn(|l| middle + 0.5 * delta + half * block[l].0);
+        let near: [f64; LANES] = std::array::from_fn(|l| far[l] - delta);
+        let mut phase = [0.0; LANES];
+        let (mut w_far, mut w_near) = ([0.0; LANES], [0.0; LANES]);
         for c in turns.iter().skip(1).rev() {
-            for l in 0..STEP {
+            for l in 0..LANES {
                 w_far[l] = w_far[l] * far[l] + c;
                 w_near[l] = w_near[l] * near[l] + c;
             }
         }
-        let (mut a_far, mut a_near) = ([0.0; STEP], [0.0; STEP]);
+        let (mut a_far, mut a_near) = ([0.0; LANES], [0.0; LANES]);
         for c in amplitude.iter().rev() {
-            for l in 0..STEP {
+            for l in 0..LANES {
                 a_far[l] = a_far[l] * far[l] + c;
                 a_near[l] = a_near[l] * near[l] + c;
             }
         }
-        for l in 0..STEP {
+        for l in 0..LANES {
             phase[l] = w_near[l] * near[l] - w_far[l] * far[l];
         }
-        for l in 0..STEP {
+        for l in 0..LANES {
             let (sin, cos) = sin_cos_turns(phase[l]);
             let weight = block[l].1 * a_far[l] * a_near[l];
             re[l] += weight * cos;

@@ -1,5 +1,6 @@
 //! The edge of the pupil: a closed curve x(α), y(α) as Fourier series, α the azimuth in the real stop.
 
+use super::sincos::sin_cos_turns;
 use glam::{DMat2, DVec2};
 use std::f64::consts::TAU;
 
@@ -59,7 +60,7 @@ impl Outline {
 
     /// Point, first and second derivative at parameter `alpha`.
     pub fn at(&self, alpha: f64) -> [DVec2; 3] {
-        let (sin1, cos1) = alpha.sin_cos();
+        let (sin1, cos1) = sin_cos_turns(alpha / TAU);
         let (mut sin, mut cos) = (0.0, 1.0);
         let mut out = [DVec2::ZERO; 3];
         for (m, (c, s)) in self.harmonics.iter().enumerate() {

@@ -100,9 +100,9 @@ impl Polynomial2 {
         };
         let (x, y) = (powers(cos, -sin), powers(sin, cos));
         let mut out = Self::new(self.degree, Vec::new());
-        for i in 0..=self.degree {
+        for (i, x_power) in x.iter().enumerate() {
             for (j, c) in self.row(i).iter().enumerate() {
-                for (k, cx) in x[i].iter().enumerate() {
+                for (k, cx) in x_power.iter().enumerate() {
                     for (l, cy) in y[j].iter().enumerate() {
                         let b = k + l;
                         let at = out.start(i + j - b) + b;

@@ -9,16 +9,16 @@
 //! A Stiles–Crawford apodization multiplies the amplitude by 10^(−ρ r²/2), r in mm of the entrance pupil.
 
 use super::chords::Chords;
-use super::least_squares::fit;
+use super::least_squares::LeastSquares;
 use super::outline::Outline;
-use super::polynomial::{Polynomial2, count};
+use super::polynomial::Polynomial2;
 use super::quadrature::gauss_legendre;
 use super::sincos::sin_cos_turns;
 use crate::optics::{Object, OpticsError, PupilBundle, PupilNodes, SchematicEye};
 use glam::{DMat2, DVec2, DVec3};
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::PI;
 
 /// What the amplitude over the pupil follows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -183,16 +183,15 @@ impl Wavefront {
         self.energy_open = energy / self.throughput;
     }
 
-    /// ∫ f(s) ds over the pupil by `nodes`² Gauss nodes on chords.
+    /// ∫ f(s) ds over the pupil by `nodes`² nodes on chords.
     fn over_pupil<const N: usize>(&self, nodes: usize, f: impl Fn(DVec2) -> [f64; N]) -> [f64; N] {
         let chords = Chords::new(&self.outline);
         let rule = gauss_legendre(nodes);
         let mut sum = [0.0; N];
-        for &(u, wu) in &rule {
-            let chord = chords.at(u * FRAC_PI_2);
+        for (chord, wu) in chords.rule(nodes) {
             for &(v, wv) in &rule {
                 let s = DVec2::new(chord.middle + 0.5 * chord.length * v, chord.y);
-                let weight = wu * FRAC_PI_2 * chord.slope * wv * 0.5 * chord.length;
+                let weight = wu * wv * 0.5 * chord.length;
                 for (total, value) in sum.iter_mut().zip(f(s)) {
                     *total += weight * value;
                 }
@@ -274,20 +273,17 @@ impl Fitted {
         let inverse = axes.inverse();
         let points: Vec<DVec2> = bundle.rays.iter().map(|r| inverse * (r.q - centre)).collect();
         let weights: Vec<f64> = bundle.rays.iter().map(|r| r.weight).collect();
-        let side =
-            |f: &dyn Fn(&crate::optics::PupilRay) -> f64| bundle.rays.iter().map(f).collect::<Vec<_>>();
+        let design = LeastSquares::new(degree, &points, &weights);
         // Path difference, and the maps back to the stop and the launch plane for their Jacobians.
-        let [opd, stop_x, stop_y, launch_x, launch_y] = fit(
-            degree,
-            &points,
-            &weights,
-            [
-                side(&|r| r.opd_mm * 1e3),
-                side(&|r| r.stop.x),
-                side(&|r| r.stop.y),
-                side(&|r| r.launch.x),
-                side(&|r| r.launch.y),
-            ],
+        let rays = || bundle.rays.iter();
+        let opd = design.fit(rays().map(|r| r.opd_mm * 1e3));
+        let (stop_x, stop_y) = (
+            design.fit(rays().map(|r| r.stop.x)),
+            design.fit(rays().map(|r| r.stop.y)),
+        );
+        let (launch_x, launch_y) = (
+            design.fit(rays().map(|r| r.launch.x)),
+            design.fit(rays().map(|r| r.launch.y)),
         );
         let stop_per_s = Jacobian::new(&stop_x, &stop_y);
         let launch_per_s = Jacobian::new(&launch_x, &launch_y);
@@ -311,9 +307,7 @@ impl Fitted {
             cornea += ds * flux_density * ray.path_mm[1];
             lens += ds * flux_density * ray.path_mm[3];
         }
-        let amplitude_degree = degree.min(10);
-        debug_assert!(count(amplitude_degree) < points.len());
-        let [amplitude] = fit(amplitude_degree, &points, &weights, [amplitudes]);
+        let amplitude = design.fit(amplitudes.into_iter());
         let rim: Vec<DVec2> = bundle.edge.iter().map(|r| inverse * (r.q - centre)).collect();
         let thickness = eye.thickness_mm();
         Self {

@@ -75,6 +75,16 @@ pub(super) fn area(corner: &[DVec2]) -> f64 {
         / 2.0
 }
 
+/// Centroid of a polygon with some area.
+pub(super) fn centroid(corner: &[DVec2]) -> DVec2 {
+    let n = corner.len();
+    let sum: DVec2 = (0..n)
+        .map(|m| (corner[m], corner[(m + 1) % n]))
+        .map(|(a, b)| (a + b) * a.perp_dot(b))
+        .sum();
+    sum / (6.0 * area(corner)).max(f64::MIN_POSITIVE)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -88,6 +98,7 @@ mod tests {
         assert!(!p.cut(DVec2::X, 0.5, 8));
         assert!(p.cut(DVec2::Y, 0.0, 9));
         assert!((area(&p.corner) - 1.0).abs() < 1e-12);
+        assert!((centroid(&p.corner) - DVec2::splat(-0.5)).length() < 1e-12);
         assert_eq!(p.label.iter().filter(|l| **l == LIMIT).count(), 2);
         assert!(p.label.contains(&7) && p.label.contains(&9));
         assert!(p.cut(DVec2::X, -5.0, 1));

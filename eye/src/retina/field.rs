@@ -11,11 +11,11 @@ use super::params::RetinaParams;
 
 /// (visual degrees, patch width in spacings, relative spread of radii, sub-cycles); linear between, constant beyond.
 const TEXTURE: [(f64, f64, f64, f64); 5] = [
-    (0.0, 5.0, 0.06, 24.0),
-    (0.3, 5.0, 0.06, 24.0),
-    (0.6, 10.0, 0.06, 24.0),
-    (0.9, 10.0, 0.06, 24.0),
-    (1.5, 4.0, 0.18, 12.0),
+    (0.0, 4.5, 0.08, 24.0),
+    (0.3, 4.5, 0.08, 24.0),
+    (0.5, 7.0, 0.08, 24.0),
+    (0.75, 6.0, 0.10, 20.0),
+    (1.0, 4.0, 0.18, 12.0),
 ];
 
 /// The domain generator's texture at one place.

@@ -61,17 +61,21 @@ impl Grid {
         y * self.nx + x
     }
 
-    /// Calls `f` with every item in the bins that touch the square of half side `reach` about `p`.
+    /// Calls `f` with the items of the bins that touch the square of half side `reach` about `p`, row by row.
     #[inline]
-    pub(super) fn near(&self, p: DVec2, reach: f64, mut f: impl FnMut(u32)) {
+    pub(super) fn near_slices(&self, p: DVec2, reach: f64, mut f: impl FnMut(&[u32])) {
         let (x0, y0) = self.cell(p - DVec2::splat(reach));
         let (x1, y1) = self.cell(p + DVec2::splat(reach));
         for y in y0..=y1 {
             let (a, b) = (self.start[y * self.nx + x0], self.start[y * self.nx + x1 + 1]);
-            for &i in &self.item[a as usize..b as usize] {
-                f(i);
-            }
+            f(&self.item[a as usize..b as usize]);
         }
+    }
+
+    /// Calls `f` with every item in the bins that touch the square of half side `reach` about `p`.
+    #[inline]
+    pub(super) fn near(&self, p: DVec2, reach: f64, mut f: impl FnMut(u32)) {
+        self.near_slices(p, reach, |items| items.iter().for_each(|&i| f(i)));
     }
 }
 

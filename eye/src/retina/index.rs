@@ -18,7 +18,7 @@ pub struct ConeIndex {
 }
 
 impl ConeIndex {
-    /// An index over the cones of a retina; about 100 ns per cone.
+    /// An index over the cones of a retina.
     pub fn new(retina: &Retina) -> Self {
         let centers: Vec<DVec2> = (0..retina.len()).map(|i| retina.center(i)).collect();
         let mut corner = Vec::with_capacity(retina.polygon_xy.len() / 2);

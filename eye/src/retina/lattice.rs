@@ -6,12 +6,17 @@
 //! spacing s and stay hexagons. The lattice constant is corrected by the mean of (spacing of f / s)² over the patch, which takes
 //! out what the first order misses.
 //!
+//! Of a few random offsets the one is taken that puts the wanted number of cones into the patch, so counts vary far less than at random.
+//!
 //! Everything is keyed by the global numbers of ring, patch and lattice point: any region gives the same cones.
+
+use std::f64::consts::FRAC_PI_3;
 
 use glam::DVec2;
 
-use super::clip::{Convex, directions};
+use super::clip::{Convex, area, centroid, directions};
 use super::field::Field;
+use super::local::Frame;
 use super::tile::RegionUm;
 use crate::rng::{Purpose, Stream};
 
@@ -21,6 +26,8 @@ const RING_STEP: f64 = 0.87;
 const JITTER: f64 = 0.25;
 /// Lattice indices run from -HALF to HALF - 1.
 const HALF: i32 = 256;
+/// Lattice offsets tried to get the right number of cones into a patch.
+const OFFSETS: usize = 6;
 /// Most rings from the fovea to the ora; bounds the loop.
 const MAX_RINGS: usize = 60_000;
 /// `b` of the random stream of a patch.
@@ -40,7 +47,8 @@ struct Patch {
     at: DVec2,
     pitch: f64,
     turn: f64,
-    offset: DVec2,
+    /// What is left of the patch's random numbers.
+    stream: Stream,
 }
 
 /// Birth places, sorted by id. An id packs ring (16 bits), patch on the ring (18 bits) and lattice point (2 x 9 bits).
@@ -122,15 +130,14 @@ fn ring_patches(field: &Field, ring: &Ring, region: &RegionUm, out: &mut Vec<Pat
         let along = JITTER * (2.0 * s.uniform() - 1.0) * if ring.count > 1 { 1.0 } else { 0.0 };
         let rho = ring.rho + JITTER * ring.pitch * (2.0 * s.uniform() - 1.0);
         let at = DVec2::from_angle(step * (j as f64 + phase + along)) * rho;
-        let turn = std::f64::consts::FRAC_PI_3 * s.uniform();
-        let offset = DVec2::new(s.uniform(), s.uniform());
+        let turn = FRAC_PI_3 * s.uniform();
         if near.contains_closed(at) {
             out.push(Patch {
                 id,
                 at,
                 pitch: ring.pitch,
                 turn,
-                offset,
+                stream: s,
             });
         }
     }
@@ -155,58 +162,117 @@ fn numbers_near(near: &RegionUm, count: u64, phase: f64, step: f64) -> Vec<u64> 
         .collect()
 }
 
-/// The lattice points of one patch: those inside its cell and the region.
-fn fill(field: &Field, patch: &Patch, cell: &Convex, region: &RegionUm, out: &mut Births) {
-    let here = field.local(patch.at);
-    let frame = here.metric.frame();
-    let spacing = field.spacing_with(patch.at, here.cos_tilt);
-    // Gradient of ln s over the plane, and alpha with |1 + alpha u| = 1 + gradient·u.
-    let h = 0.5 * spacing;
-    let ln = |d: DVec2| field.spacing(patch.at + d).ln();
-    let chart = DVec2::new(
-        ln(DVec2::new(h, 0.0)) - ln(DVec2::new(-h, 0.0)),
-        ln(DVec2::new(0.0, h)) - ln(DVec2::new(0.0, -h)),
-    ) / (2.0 * h);
-    let gradient = frame.plane_gradient(chart).clamp_length_max(0.3 / patch.pitch);
-    let alpha = DVec2::new(gradient.x, -gradient.y);
-    let warp = |u: DVec2| u + 0.5 * product(alpha, product(u, u));
-    // Lattice constant corrected over the patch.
-    let mut ratio = 1.0;
-    for k in 0..6 {
-        let u = DVec2::from_angle(f64::from(k) * std::f64::consts::FRAC_PI_3) * 0.405 * patch.pitch;
-        let stretch = (DVec2::X + product(alpha, u)).length_squared();
-        let true_spacing = field.spacing(patch.at + frame.chart_from_plane(warp(u)));
-        ratio += stretch * (spacing / true_spacing).powi(2);
+/// The lattice of one patch, before its offset is chosen.
+struct Lattice {
+    frame: Frame,
+    /// conj(∇ ln s), per µm of the plane.
+    alpha: DVec2,
+    /// Lattice constant at the patch centre, µm.
+    constant: f64,
+    e1: DVec2,
+    e2: DVec2,
+    /// Largest distance of the cell's corners in the plane, with room for the grading, µm.
+    reach: f64,
+}
+
+impl Lattice {
+    fn new(field: &Field, patch: &Patch, cell: &Convex) -> Self {
+        let here = field.local(patch.at);
+        let frame = here.metric.frame();
+        let spacing = field.spacing_with(patch.at, here.cos_tilt);
+        let h = 0.5 * spacing;
+        let ln = |d: DVec2| field.spacing(patch.at + d).ln();
+        let (x, y) = (DVec2::new(h, 0.0), DVec2::new(0.0, h));
+        let chart = DVec2::new(ln(x) - ln(-x), ln(y) - ln(-y)) / (2.0 * h);
+        let gradient = frame.plane_gradient(chart).clamp_length_max(0.3 / patch.pitch);
+        let reach = cell
+            .corner
+            .iter()
+            .map(|&c| frame.plane_from_chart(c).length())
+            .fold(0.0, f64::max)
+            * 1.25;
+        let mut lattice = Self {
+            frame,
+            alpha: DVec2::new(gradient.x, -gradient.y),
+            constant: spacing,
+            e1: DVec2::from_angle(patch.turn),
+            e2: DVec2::from_angle(patch.turn + FRAC_PI_3),
+            reach,
+        };
+        // Correct the constant over the patch: the centre and six points whose mean square radius is that of the patch.
+        let mut ratio = 1.0;
+        for k in 0..6 {
+            let u = DVec2::from_angle(f64::from(k) * FRAC_PI_3) * 0.405 * patch.pitch;
+            let stretch = (DVec2::X + product(lattice.alpha, u)).length_squared();
+            ratio += stretch * (spacing / field.spacing(patch.at + lattice.warp(u))).powi(2);
+        }
+        lattice.constant = spacing / (ratio / 7.0).sqrt();
+        lattice
     }
-    let constant = spacing / (ratio / 7.0).sqrt();
-    // Rows and columns that reach the cell.
-    let reach = cell
-        .corner
-        .iter()
-        .map(|&c| frame.plane_from_chart(c).length())
-        .fold(0.0, f64::max)
-        * 1.25;
-    let (e1, e2) = (
-        DVec2::from_angle(patch.turn),
-        DVec2::from_angle(patch.turn + std::f64::consts::FRAC_PI_3),
-    );
-    let rows = ((reach / (constant * 0.75_f64.sqrt())) as i32 + 2).min(HALF - 1);
-    for b in -rows..rows {
-        let row = f64::from(b) + patch.offset.y;
-        let side = (reach * reach - (row * constant).powi(2) * 0.75).max(0.0).sqrt() / constant;
-        let centre = -0.5 * row - patch.offset.x;
-        let (low, high) = ((centre - side).ceil() as i32, (centre + side).floor() as i32);
-        for a in low.max(-HALF)..=high.min(HALF - 1) {
-            let zeta = constant * (e1 * (f64::from(a) + patch.offset.x) + e2 * row);
-            let d = frame.chart_from_plane(warp(zeta));
-            let at = patch.at + d;
-            if inside(&cell.corner, d) && region.contains_closed(at) {
-                out.id
-                    .push(patch.id | (((a + HALF) as u64) << 9) | (b + HALF) as u64);
-                out.at.push(at);
+
+    /// The chart step of an ungraded plane step: f(u) = u + α·u²/2.
+    fn warp(&self, u: DVec2) -> DVec2 {
+        self.frame
+            .chart_from_plane(u + 0.5 * product(self.alpha, product(u, u)))
+    }
+
+    /// Calls `f` with the indices and the chart step of every lattice point inside the cell.
+    fn points(&self, offset: DVec2, cell: &Convex, mut f: impl FnMut(i32, i32, DVec2)) {
+        let rows = ((self.reach / (self.constant * 0.75_f64.sqrt())) as i32 + 2).min(HALF - 1);
+        for b in -rows..rows {
+            let row = f64::from(b) + offset.y;
+            let across = (row * self.constant).powi(2) * 0.75;
+            let side = (self.reach * self.reach - across).max(0.0).sqrt() / self.constant;
+            let middle = -0.5 * row - offset.x;
+            let (low, high) = ((middle - side).ceil() as i32, (middle + side).floor() as i32);
+            for a in low.max(-HALF)..=high.min(HALF - 1) {
+                let zeta = self.constant * (self.e1 * (f64::from(a) + offset.x) + self.e2 * row);
+                let step = self.warp(zeta);
+                if inside(&cell.corner, step) {
+                    f(a, b, step);
+                }
             }
         }
     }
+}
+
+/// Cones that the target asks for in a patch: its area on the sphere times the mean density over seven points.
+fn wanted_cones(field: &Field, patch: &Patch, cell: &Convex) -> f64 {
+    let size = area(&cell.corner);
+    let middle = patch.at + centroid(&cell.corner);
+    let ring = 0.764 * (size / std::f64::consts::PI).sqrt();
+    let around = (0..6).map(|k| middle + DVec2::from_angle(f64::from(k) * FRAC_PI_3) * ring);
+    let density: f64 = around.chain([middle]).map(|p| field.density.per_mm2(p)).sum();
+    let here = field.local(middle);
+    1e-6 * size * here.metric.area_factor() / here.cos_tilt * density / 7.0
+}
+
+/// The lattice points of one patch: those inside its cell and the region.
+fn fill(field: &Field, patch: &Patch, cell: &Convex, region: &RegionUm, out: &mut Births) {
+    let lattice = Lattice::new(field, patch, cell);
+    // Of a few offsets, the one with the number of cones nearest to the target (rounded up or down at random).
+    let mut stream = patch.stream.clone();
+    let wanted = (wanted_cones(field, patch, cell) + stream.uniform()).floor();
+    let (mut offset, mut best) = (DVec2::ZERO, f64::INFINITY);
+    for _ in 0..OFFSETS {
+        let tried = DVec2::new(stream.uniform(), stream.uniform());
+        let mut count = 0.0;
+        lattice.points(tried, cell, |_, _, _| count += 1.0);
+        if (count - wanted).abs() < best {
+            (offset, best) = (tried, (count - wanted).abs());
+        }
+        if best < 0.5 {
+            break;
+        }
+    }
+    lattice.points(offset, cell, |a, b, step| {
+        let at = patch.at + step;
+        if region.contains_closed(at) {
+            out.id
+                .push(patch.id | (((a + HALF) as u64) << 9) | (b + HALF) as u64);
+            out.at.push(at);
+        }
+    });
 }
 
 /// Complex product.

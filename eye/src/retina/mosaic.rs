@@ -25,13 +25,13 @@ pub enum ConeType {
 /// Rare events met while cones were made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
-    /// Encounters of two cones in one place in the tiles and their halos (parted by a hashed direction).
+    /// Encounters of two cones in one place (parted by a hashed direction).
     pub coincident: u64,
     /// Cones with a neighbour closer than D = 0.6 at the end.
     pub close_pairs: u64,
     /// Cells that reach the size limit.
     pub voids: u64,
-    /// Cells that are not convex.
+    /// Cells that lost a corner to be convex; they overlap a neighbour's by a sliver where apertures fill the cells.
     pub concave: u64,
     /// Relaxation steps that were cut to the limit.
     pub limited_steps: u64,
@@ -164,7 +164,7 @@ impl Cones {
     }
 }
 
-/// The cones whose centre lies in one tile, in order of their id.
+/// The cones whose centre lies in one tile, in Morton order of their birth places.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RetinaTile {
     /// Which tile.
@@ -206,17 +206,29 @@ impl Retina {
     /// The cones of the tiles whose centre is in the region, in Morton order of position, then by id; tiles may come in any order and repeat.
     /// Parameters are those of the first tile; of no tile, the default.
     pub fn assemble(tiles: &[RetinaTile], region: &RegionUm) -> Self {
+        let params = tiles
+            .first()
+            .map_or_else(RetinaParams::default, |t| t.params.clone());
+        Self::gather(
+            &tiles.iter().map(|t| &t.cones).collect::<Vec<_>>(),
+            region,
+            &params,
+        )
+    }
+
+    /// The same from bare cones.
+    pub(super) fn gather(parts: &[&Cones], region: &RegionUm, params: &RetinaParams) -> Self {
         let mut order = Vec::new();
         let mut cones = Cones::default();
         let mut total = [0_u64; 5];
-        for (t, tile) in tiles.iter().enumerate() {
-            for (sum, count) in total.iter_mut().zip(tile.counts.to_array()) {
+        for (t, part) in parts.iter().enumerate() {
+            for (sum, count) in total.iter_mut().zip(part.counts.to_array()) {
                 *sum += count;
             }
-            for i in 0..tile.len() {
-                let at = tile.center(i);
+            for i in 0..part.len() {
+                let at = part.center(i);
                 if region.contains(at) {
-                    order.push((morton(at), tile.id[i], t, i));
+                    order.push((morton(at), part.id[i], t, i));
                 }
             }
         }
@@ -224,22 +236,14 @@ impl Retina {
         order.dedup_by_key(|o| o.1);
         cones.start();
         for (_, _, t, i) in order {
-            cones.push_from(&tiles[t].cones, i);
+            cones.push_from(parts[t], i);
         }
         cones.counts = Counts::from_array(total);
-        let params = tiles
-            .first()
-            .map_or_else(RetinaParams::default, |t| t.params.clone());
         Self {
             region: *region,
-            params,
+            params: params.clone(),
             cones,
         }
-    }
-
-    pub(super) fn with_params(mut self, params: &RetinaParams) -> Self {
-        self.params = params.clone();
-        self
     }
 
     /// Number of cones.
@@ -254,7 +258,7 @@ impl Retina {
 }
 
 /// Interleaved bits of the position in steps of 1/256 µm.
-fn morton(p: DVec2) -> u64 {
+pub(super) fn morton(p: DVec2) -> u64 {
     let spread = |v: f64| {
         // Saturating: positions are within 32 mm of the origin.
         let mut x = u64::from(((v + 65_536.0) * 256.0) as u32);

@@ -97,13 +97,13 @@ pub enum RetinaError {
         /// Row.
         j: i32,
     },
-    /// The halo of a tile stayed too thin for an exact result; it does not happen for allowed parameters.
-    #[error("the halo of tile ({i}, {j}) is too thin")]
+    /// The halo stayed too thin for an exact result; it does not happen for allowed parameters.
+    #[error("the halo of the rectangle at ({x_um} µm, {y_um} µm) is too thin")]
     Halo {
-        /// Column.
-        i: i32,
-        /// Row.
-        j: i32,
+        /// Lower left corner.
+        x_um: f64,
+        /// Lower left corner.
+        y_um: f64,
     },
     /// Stored bytes are not a retina, or are damaged.
     #[error("stored retina: {0}")]

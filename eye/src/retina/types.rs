@@ -1,7 +1,7 @@
 //! L, M and S cones (§13).
 //!
 //! S cones: each cone is a candidate with probability c, with a random rank; a candidate becomes S when no candidate of lower rank lies within the
-//! hard core h (Matérn's second thinning). With m = πh²·density cones per core (itself included) the share kept is (1 - (1 - c)^m)/m, so
+//! hard core h (Matérn's second thinning). With m cones in a core (itself included) the share kept is (1 - (1 - c)^m)/m, so
 //! c = 1 - (1 - m·s)^(1/m) gives the wanted share s. h = s_repulsion/sqrt(S density), at most `MAX_CORE` spacings. What is S depends
 //! on cones within h only: tiles agree. The others are L or M at random with their ratio.
 
@@ -16,7 +16,7 @@ use crate::rng::{Purpose, Stream};
 /// Largest hard core, in spacings.
 const MAX_CORE: f64 = 3.0;
 /// Cones this many rows from the tile can still decide about cones in it.
-const ROWS: f64 = 5.5;
+const ROWS: f64 = 4.5;
 
 /// What is drawn for each cone: its type and pointing.
 #[derive(Clone, Copy, Debug)]
@@ -72,11 +72,18 @@ pub(super) fn assign(field: &Field, cones: &Relaxed) -> Vec<Kind> {
 fn candidacy(share: f64, repulsion: f64, spacing: f64) -> (f64, f64) {
     let cell = spacing * spacing * 0.75_f64.sqrt();
     let core = (repulsion * (cell / share).sqrt()).min(MAX_CORE * spacing);
-    let m = std::f64::consts::PI * core * core / cell;
-    if m <= 1.0 {
-        return (share, core);
-    }
+    let m = cones_within(core / spacing);
     (1.0 - (1.0 - m * share).max(0.0).powf(1.0 / m), core)
+}
+
+/// Mean number of cones within a distance in spacings of a cone, itself included: shells of the hexagonal lattice, blurred by 0.3.
+fn cones_within(distance: f64) -> f64 {
+    const SHELLS: [(f64, f64); 5] = [(6.0, 1.0), (6.0, 1.732), (6.0, 2.0), (12.0, 2.646), (6.0, 3.0)];
+    let blurred = |at: f64| {
+        let t = ((distance - at + 0.3) / 0.6).clamp(0.0, 1.0);
+        t * t * (3.0 - 2.0 * t)
+    };
+    1.0 + SHELLS.iter().map(|&(n, at)| n * blurred(at)).sum::<f64>()
 }
 
 /// The candidates without a better one in their core.

@@ -1,0 +1,51 @@
+//! Convergence of the engine `expected`: default settings against a finer reference.
+
+mod support;
+
+use photoneye_eye::experiment::{Experiment, Pattern};
+use photoneye_eye::exposure::FrameCounts;
+use support::{exposure, figure_12};
+
+fn means(experiment: &Experiment) -> Vec<f64> {
+    let (plan, exposure) = exposure(experiment);
+    let started = std::time::Instant::now();
+    let frame = exposure.frame(0, None).unwrap();
+    println!(
+        "grid {:?} frame {:.3} s nodes {} {:?}",
+        plan.grid,
+        started.elapsed().as_secs_f64(),
+        plan.wavelengths_nm.len(),
+        frame.diagnostics
+    );
+    match frame.counts {
+        FrameCounts::Means(means) => means.into_iter().map(f64::from).collect(),
+        FrameCounts::Counts(_) => panic!("means were asked for"),
+    }
+}
+
+fn l1(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum::<f64>() / b.iter().sum::<f64>()
+}
+
+#[test]
+fn default_settings_keep_their_promise() {
+    for pattern in [
+        Pattern::Checkerboard { square_px: 1 },
+        Pattern::Checkerboard { square_px: 5 },
+        Pattern::Point {
+            at_px: [15, 15],
+            rgb: [1.0; 3],
+        },
+        Pattern::Uniform { rgb: [1.0; 3] },
+    ] {
+        let mut experiment = figure_12(pattern.clone());
+        experiment.counts.poisson = false;
+        experiment.accuracy_target = 1e-4;
+        let reference = means(&experiment);
+        for target in [1e-3, 0.01] {
+            experiment.accuracy_target = target;
+            let error = l1(&means(&experiment), &reference);
+            println!("{pattern:?} target {target}: L1 {error:.2e}");
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! One file a command.
+
+mod cancel;
+mod jobs;
+mod plan;
+mod render;
+mod results;
+mod run;
+mod serve;
+mod submit;
+mod watch;
+mod worker;
+
+use std::future::Future;
+
+use crate::cli::{Cli, Command};
+use crate::failure::Failure;
+use crate::settings::Settings;
+
+/// What every command knows.
+#[derive(Clone, Debug)]
+pub struct Context {
+    /// photoneye.toml.
+    pub settings: Settings,
+    /// Facts as JSON.
+    pub json: bool,
+}
+
+/// Does what was asked.
+///
+/// # Errors
+/// Why it could not be done.
+pub fn run(cli: Cli) -> Result<(), Failure> {
+    let context = Context {
+        settings: Settings::load(cli.config.as_deref())?,
+        json: cli.json,
+    };
+    match cli.command {
+        Command::Run(args) => block_on(run::run(context, args)),
+        Command::Plan(args) => block_on(plan::run(context, args)),
+        Command::Serve(args) => block_on(serve::run(context, args)),
+        Command::Worker(args) => block_on(worker::run(context, args)),
+        Command::Submit(args) => block_on(submit::run(context, args)),
+        Command::Jobs(args) => block_on(jobs::run(context, args)),
+        Command::Watch(args) => block_on(watch::run(context, args)),
+        Command::Results(args) => block_on(results::run(context, args)),
+        Command::Cancel(args) => block_on(cancel::run(context, args)),
+        Command::Render(args) => render::run(&context, &args),
+    }
+}
+
+fn block_on(work: impl Future<Output = Result<(), Failure>>) -> Result<(), Failure> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .map_err(Failure::failed)?;
+    let outcome = runtime.block_on(work);
+    // Work on blocking threads that nobody waits for any more must not hold up the end.
+    runtime.shutdown_background();
+    outcome
+}
+
+/// From now on, Ctrl-C and the system's wish to stop end the process no more; the future ends at the first of them.
+pub fn interrupted() -> impl Future<Output = ()> {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let mut signals = [SignalKind::interrupt(), SignalKind::terminate()].map(|kind| signal(kind).ok());
+        std::future::poll_fn(move |context| {
+            let mut came = signals
+                .iter_mut()
+                .flatten()
+                .map(|signal| signal.poll_recv(context).is_ready());
+            // Both are asked, so that both wake us.
+            if came.by_ref().fold(false, |any, one| any | one) {
+                std::task::Poll::Ready(())
+            } else {
+                std::task::Poll::Pending
+            }
+        })
+    }
+    #[cfg(not(unix))]
+    async {
+        let _ = tokio::signal::ctrl_c().await;
+    }
+}

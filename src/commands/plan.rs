@@ -1,0 +1,99 @@
+//! `plan`: what would be computed, what is left out and why, and what it costs.
+
+use photoneye_proto::v1;
+
+use super::Context;
+use crate::cli::PlanArgs;
+use crate::experiment_file::ExperimentFile;
+use crate::failure::Failure;
+use crate::service::Service;
+use crate::{output, summary};
+
+/// Runs the command.
+pub async fn run(context: Context, args: PlanArgs) -> Result<(), Failure> {
+    let mut experiment = ExperimentFile::read(&args.spec.spec, &args.spec.set)?;
+    let mut place = args.place;
+    // Nothing is computed.
+    place.workers = Some(0);
+    let service = Service::open(&context.settings, place).await?;
+    let reply = ask(&service, &mut experiment).await;
+    service.close(false).await;
+    let reply = reply?;
+    let plan = reply.plan.clone().unwrap_or_default();
+    if context.json {
+        return output::json(&as_json(&plan, reply.experiment_json())?);
+    }
+    for line in explain(&plan) {
+        output::line(format_args!("{line}"))?;
+    }
+    Ok(())
+}
+
+async fn ask(service: &Service, experiment: &mut ExperimentFile) -> Result<v1::PlanReply, Failure> {
+    experiment.upload(&service.client).await?;
+    let reply = service.client.plan(experiment.experiment.clone()).await?;
+    experiment.check_sizes(reply.experiment_json())?;
+    Ok(reply)
+}
+
+/// The plan's own fields, and the experiment with every default filled in.
+fn as_json(plan: &v1::Plan, experiment_json: &str) -> Result<serde_json::Value, Failure> {
+    let mut value = serde_json::to_value(plan).map_err(Failure::failed)?;
+    let experiment = serde_json::from_str(experiment_json).map_err(Failure::failed)?;
+    if let Some(fields) = value.as_object_mut() {
+        fields.insert("experiment".into(), experiment);
+        // An empty list is a fact too.
+        fields.entry("omissions").or_insert_with(|| serde_json::json!([]));
+    }
+    Ok(value)
+}
+
+fn explain(plan: &v1::Plan) -> Vec<String> {
+    let mut lines = vec![
+        format!("Engine        {}", plan.engine()),
+        format!("Frames        {} in {} tile(s)", plan.frames(), plan.tiles()),
+        format!("Cones         about {}", summary::number(plan.predicted_cones())),
+    ];
+    if let [x0, x1, y0, y1] = plan.region_um[..] {
+        lines.push(format!(
+            "Patch         {:.0} x {:.0} µm of retina",
+            x1 - x0,
+            y1 - y0
+        ));
+    }
+    if let (Some(first), Some(last)) = (plan.wavelengths_nm.first(), plan.wavelengths_nm.last()) {
+        lines.push(format!(
+            "Optics        {} wavelengths from {first:.0} to {last:.0} nm at {} point(s) of the field, grid {} x {}",
+            plan.wavelengths_nm.len(),
+            plan.field_nodes(),
+            plan.grid_width(),
+            plan.grid_height()
+        ));
+    }
+    for artifact in &plan.artifacts {
+        let state = if artifact.cached() {
+            "there already"
+        } else {
+            "to build"
+        };
+        lines.push(format!(
+            "Build         {} ({state}, about {:.2} s)",
+            artifact.kind(),
+            artifact.predicted_seconds()
+        ));
+    }
+    for omission in &plan.omissions {
+        lines.push(format!(
+            "Left out      {}: {} (error at most {:.1e})",
+            omission.what(),
+            omission.why(),
+            omission.bound()
+        ));
+    }
+    lines.push(format!(
+        "Cost          about {:.1} s of computing, {:.0} MB of memory",
+        plan.predicted_seconds(),
+        plan.predicted_bytes() / 1e6
+    ));
+    lines
+}

@@ -1,0 +1,235 @@
+//! An experiment as it stands in a file: read, changed by --set, its pictures uploaded.
+
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+use bytes::Bytes;
+use photoneye_client::Client;
+use photoneye_eye::video::{Limits, png_size};
+use photoneye_proto::{experiment_from_json, v1};
+use serde_json::Value;
+
+use crate::failure::{Failure, plain};
+
+/// Most bytes of an experiment; the server takes no more.
+const MAX_SPEC_BYTES: u64 = 1 << 20;
+/// Most bytes of one picture.
+const MAX_PICTURE_BYTES: u64 = 256 << 20;
+
+/// An experiment whose pictures are still files.
+#[derive(Debug)]
+pub struct ExperimentFile {
+    /// The experiment.
+    pub experiment: v1::Experiment,
+    /// Name of the file without folder and ending.
+    pub stem: String,
+    pictures: Vec<Picture>,
+}
+
+/// A picture file that was read.
+#[derive(Debug)]
+struct Picture {
+    path: PathBuf,
+    bytes: Bytes,
+    size: (u32, u32),
+}
+
+impl ExperimentFile {
+    /// Reads the file, applies `PATH=VALUE` changes, and reads the pictures that it names.
+    ///
+    /// # Errors
+    /// The file, field or picture that is wrong.
+    pub fn read(path: &Path, changes: &[String]) -> Result<Self, Failure> {
+        let name = path.display();
+        let text = read_text(path)?;
+        let mut value: Value = serde_json::from_str(&text)
+            .map_err(|error| Failure::usage(format!("{name}: not JSON: {error}")))?;
+        for change in changes {
+            set(&mut value, change)?;
+        }
+        // Without changes the text itself is read, so that a field that is given twice is noticed.
+        let text = if changes.is_empty() {
+            text
+        } else {
+            value.to_string()
+        };
+        let experiment =
+            experiment_from_json(&text).map_err(|error| Failure::usage(format!("{name}: {error}")))?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let pictures = match experiment.video.as_ref().and_then(|video| video.kind.as_ref()) {
+            Some(v1::video::Kind::Files(files)) => read_pictures(folder, &files.paths)?,
+            _ => Vec::new(),
+        };
+        let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        Ok(Self {
+            experiment,
+            stem: stem
+                .filter(|stem| stem != "-")
+                .unwrap_or_else(|| "experiment".into()),
+            pictures,
+        })
+    }
+
+    /// Uploads the pictures and names them by digest in the experiment.
+    ///
+    /// # Errors
+    /// When the server does not take them.
+    pub async fn upload(&mut self, client: &Client) -> Result<(), Failure> {
+        if self.pictures.is_empty() {
+            return Ok(());
+        }
+        let mut blobs = Vec::with_capacity(self.pictures.len());
+        for picture in &self.pictures {
+            blobs.push(client.put_blob(picture.bytes.clone()).await?);
+        }
+        self.experiment.video = Some(v1::Video {
+            kind: Some(v1::video::Kind::Clip(v1::video::Clip { blobs })),
+        });
+        Ok(())
+    }
+
+    /// Holds the pictures against the display of the validated experiment.
+    ///
+    /// # Errors
+    /// The first picture of another size, by name.
+    pub fn check_sizes(&self, experiment_json: &str) -> Result<(), Failure> {
+        let validated: Value = serde_json::from_str(experiment_json).unwrap_or_default();
+        let of = |field: &str| validated["display"][field].as_u64();
+        let (Some(width), Some(height)) = (of("width_px"), of("height_px")) else {
+            return Ok(());
+        };
+        for picture in &self.pictures {
+            let (w, h) = picture.size;
+            if (u64::from(w), u64::from(h)) != (width, height) {
+                return Err(Failure::usage(format!(
+                    "{}: the picture is {w}x{h} pixels, the display is {width}x{height} (display.width_px, display.height_px)",
+                    picture.path.display()
+                )));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn read_text(path: &Path) -> Result<String, Failure> {
+    let wrong = |error: std::io::Error| Failure::usage(format!("{}: {}", path.display(), plain(&error)));
+    let mut text = String::new();
+    if path == Path::new("-") {
+        std::io::stdin()
+            .take(MAX_SPEC_BYTES + 1)
+            .read_to_string(&mut text)
+    } else {
+        let file = std::fs::File::open(path).map_err(wrong)?;
+        file.take(MAX_SPEC_BYTES + 1).read_to_string(&mut text)
+    }
+    .map_err(wrong)?;
+    if text.len() as u64 > MAX_SPEC_BYTES {
+        return Err(Failure::usage(format!("{}: larger than 1 MiB", path.display())));
+    }
+    Ok(text)
+}
+
+fn read_pictures(folder: &Path, paths: &[String]) -> Result<Vec<Picture>, Failure> {
+    if paths.is_empty() {
+        return Err(Failure::usage("video.files.paths: names no picture"));
+    }
+    let read = |(i, path): (usize, &String)| {
+        let path = folder.join(path);
+        read_picture(&path)
+            .map_err(|why| Failure::usage(format!("video.files.paths[{i}]: {}: {why}", path.display())))
+    };
+    paths.iter().enumerate().map(read).collect()
+}
+
+fn read_picture(path: &Path) -> Result<Picture, String> {
+    let length = std::fs::metadata(path).map_err(|e| plain(&e))?.len();
+    if length > MAX_PICTURE_BYTES {
+        return Err(format!("{length} bytes, allowed are {MAX_PICTURE_BYTES}"));
+    }
+    let bytes = Bytes::from(std::fs::read(path).map_err(|e| plain(&e))?);
+    let size = png_size(&bytes, Limits::default()).map_err(|e| e.to_string())?;
+    Ok(Picture {
+        path: path.to_owned(),
+        bytes,
+        size,
+    })
+}
+
+/// Applies one `a.b[0].c=value`; the value is JSON, or text when it is not.
+fn set(root: &mut Value, change: &str) -> Result<(), Failure> {
+    let wrong = |why: &str| Failure::usage(format!("--set {change}: {why}"));
+    let (path, text) = change
+        .split_once('=')
+        .ok_or_else(|| wrong("expected PATH=VALUE, for example eye.pupil_mm=5"))?;
+    let value = serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.to_owned()));
+    let mut place = root;
+    for step in path.replace('[', ".[").split('.') {
+        let index = step.strip_prefix('[').and_then(|rest| rest.strip_suffix(']'));
+        place = match (index, place) {
+            (Some(index), Value::Array(items)) => {
+                let length = items.len();
+                let item = index.parse().ok().and_then(|i: usize| items.get_mut(i));
+                item.ok_or_else(|| wrong(&format!("there is no `[{index}]`, the list has {length}")))?
+            }
+            (Some(_), _) => return Err(wrong(&format!("`{step}` is not in a list"))),
+            (None, _) if step.is_empty() => return Err(wrong("a name is empty")),
+            (None, place @ (Value::Null | Value::Object(_))) => {
+                if place.is_null() {
+                    *place = Value::Object(serde_json::Map::new());
+                }
+                place
+                    .as_object_mut()
+                    .ok_or_else(|| wrong("not an object"))?
+                    .entry(step)
+                    .or_insert(Value::Null)
+            }
+            (None, _) => return Err(wrong(&format!("what holds `{step}` has no fields"))),
+        };
+    }
+    *place = value;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn changed(change: &str) -> Result<Value, String> {
+        let mut value = json!({"eye": {"pupil_mm": 3}, "gaze": {"center_px": [15, 15]}});
+        set(&mut value, change).map_err(|e| e.to_string())?;
+        Ok(value)
+    }
+
+    #[test]
+    fn changes_reach_fields_lists_and_new_places() {
+        assert_eq!(changed("eye.pupil_mm=5.5").unwrap()["eye"]["pupil_mm"], 5.5);
+        assert_eq!(
+            changed("gaze.center_px[1]=3").unwrap()["gaze"]["center_px"],
+            json!([15, 3])
+        );
+        assert_eq!(changed("counts.noise=NONE").unwrap()["counts"]["noise"], "NONE");
+        assert_eq!(
+            changed("counts.seed=18446744073709551615").unwrap()["counts"]["seed"],
+            u64::MAX
+        );
+        assert_eq!(
+            changed("gaze.movement={\"still\":{}}").unwrap()["gaze"]["movement"],
+            json!({"still": {}})
+        );
+    }
+
+    #[test]
+    fn wrong_changes_are_named() {
+        for (change, part) in [
+            ("eye.pupil_mm", "PATH=VALUE"),
+            ("eye.pupil_mm.x=1", "no fields"),
+            ("gaze.center_px[7]=1", "the list has 2"),
+            ("eye[0]=1", "not in a list"),
+            ("eye..x=1", "empty"),
+        ] {
+            let error = changed(change).unwrap_err();
+            assert!(error.contains(part) && error.contains(change), "{error}");
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! Draws the pictures of a result: one a frame and, of several frames, their movement-compensated mean (Figure 16).
+
+use std::fs;
+use std::path::Path;
+
+use photoneye_eye::experiment::Experiment;
+use photoneye_eye::movement::Gaze;
+use photoneye_eye::picture::{ConeShapes, View, encode_png};
+use photoneye_eye::video::{Limits, Picture, decode_png};
+use photoneye_store::table::{ConeColumns, read_cones_file};
+use serde_json::Value;
+
+use crate::cli::PictureArgs;
+use crate::counts_file::CountsFile;
+use crate::failure::{Failure, plain};
+
+/// Draws `frames/` of a result folder from its cones.arrow and counts.npy; gives the number of frames drawn.
+///
+/// # Errors
+/// When a file is missing or damaged, or the disk refuses.
+pub fn draw(folder: &Path, args: PictureArgs) -> Result<usize, Failure> {
+    let cones = read_cones(&folder.join("cones.arrow"))?;
+    let mut counts = CountsFile::open(&folder.join("counts.npy"))?;
+    if counts.cones != cones.len() {
+        return Err(Failure::usage(format!(
+            "{}: cones.arrow has {} cones, counts.npy {}",
+            folder.display(),
+            cones.len(),
+            counts.cones
+        )));
+    }
+    let drawn = counts.frames.min(args.pictures as usize);
+    if drawn == 0 {
+        return Ok(0);
+    }
+    let frames = folder.join("frames");
+    fs::create_dir_all(&frames).map_err(|e| Failure::file("make", &frames, &e))?;
+    let shapes = shapes(&cones);
+    let view = View::new(&shapes, args.picture_px).map_err(Failure::usage)?;
+    let mut mean = Mean::new(folder, &cones, &shapes, args.picture_px);
+    for index in 0..drawn {
+        let png = view
+            .png(&shapes, &counts.frame(index)?)
+            .map_err(Failure::failed)?;
+        if let Some(mean) = mean.as_mut().filter(|_| drawn > 1) {
+            mean.add(
+                index,
+                &decode_png(&png, Limits::default()).map_err(Failure::failed)?,
+            );
+        }
+        write(&frames.join(format!("{index:04}.png")), &png)?;
+    }
+    if let Some(png) = mean.filter(|_| drawn > 1).and_then(|mean| mean.png()) {
+        write(&frames.join("mean.png"), &png)?;
+    }
+    Ok(drawn)
+}
+
+fn read_cones(path: &Path) -> Result<ConeColumns, Failure> {
+    let bytes = fs::read(path).map_err(|e| Failure::usage(format!("{}: {}", path.display(), plain(&e))))?;
+    read_cones_file(&bytes).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    fs::write(path, bytes).map_err(|e| Failure::file("write", path, &e))
+}
+
+/// Outlines for the model's painter. The visual field is mirrored when x_um and x_deg have opposite signs (a left eye).
+fn shapes(cones: &ConeColumns) -> ConeShapes {
+    let agreement: f64 = cones
+        .x_um
+        .iter()
+        .zip(&cones.x_deg)
+        .map(|(um, deg)| um * deg)
+        .sum();
+    ConeShapes {
+        start: cones.polygon_start.iter().map(|start| start / 2).collect(),
+        corners: cones.polygon.chunks_exact(2).map(|c| [c[0], c[1]]).collect(),
+        cone_type: cones.kind.clone(),
+        aperture_um2: cones.aperture_um2.clone(),
+        mirrored: agreement < 0.0,
+    }
+}
+
+/// The mean of frames after each was moved back by the eye's movement, as a PNG viewer sees them.
+struct Mean {
+    gaze: Gaze,
+    frame_rate_hz: f64,
+    /// Picture pixels per visual degree.
+    px_per_deg: f64,
+    size: Option<[usize; 2]>,
+    sum: Vec<f64>,
+    weight: Vec<f64>,
+}
+
+impl Mean {
+    /// `None` when the report does not say how the eye moved.
+    fn new(folder: &Path, cones: &ConeColumns, shapes: &ConeShapes, picture_px: u32) -> Option<Self> {
+        let report: Value =
+            serde_json::from_str(&fs::read_to_string(folder.join("report.json")).ok()?).ok()?;
+        let spec: Experiment = serde_json::from_value(report.get("spec")?.clone()).ok()?;
+        let duration = f64::from(spec.frames) / spec.display.frame_rate_hz;
+        Some(Self {
+            gaze: Gaze::new(spec.gaze.movement, spec.display.distance_cm, duration).ok()?,
+            frame_rate_hz: spec.display.frame_rate_hz,
+            px_per_deg: um_per_deg(cones)? * f64::from(picture_px) / extent_um(shapes),
+            size: None,
+            sum: Vec::new(),
+            weight: Vec::new(),
+        })
+    }
+
+    /// Adds a frame. The eye moved right means that the scene moved left in the eye's own picture.
+    fn add(&mut self, index: usize, picture: &Picture) {
+        let [width, height] = [picture.width as usize, picture.height as usize];
+        if self.size.is_none() {
+            self.size = Some([width, height]);
+            self.sum = vec![0.0; 3 * width * height];
+            self.weight = vec![0.0; width * height];
+        }
+        let tangent = self
+            .gaze
+            .screen_tangent((index as f64 + 0.5) / self.frame_rate_hz);
+        let shift = [
+            tangent.x.atan().to_degrees() * self.px_per_deg,
+            -tangent.y.atan().to_degrees() * self.px_per_deg,
+        ];
+        for row in 0..height {
+            for column in 0..width {
+                let at = [column as f64 - shift[0], row as f64 - shift[1]];
+                let Some(colour) = sample(picture, at) else {
+                    continue;
+                };
+                let place = row * width + column;
+                self.weight[place] += 1.0;
+                for (total, value) in self.sum[3 * place..].iter_mut().zip(colour) {
+                    *total += value;
+                }
+            }
+        }
+    }
+
+    fn png(&self) -> Option<Vec<u8>> {
+        let [width, height] = self.size?;
+        let rgb: Vec<u8> = (0..3 * width * height)
+            .map(|i| srgb_from_linear(self.sum[i] / self.weight[i / 3].max(1.0)))
+            .collect();
+        encode_png(width as u32, height as u32, &rgb).ok()
+    }
+}
+
+/// Linear light at a point between pixels; `None` outside.
+fn sample(picture: &Picture, at: [f64; 2]) -> Option<[f64; 3]> {
+    let (width, height) = (picture.width as usize, picture.height as usize);
+    let (x, y) = (at[0].floor(), at[1].floor());
+    if x < 0.0 || y < 0.0 || x as usize + 1 >= width || y as usize + 1 >= height {
+        return None;
+    }
+    let (u, v) = (at[0] - x, at[1] - y);
+    let pixel = |dx: usize, dy: usize, i: usize| {
+        linear_from_srgb(f64::from(
+            picture.rgb[3 * ((y as usize + dy) * width + x as usize + dx) + i],
+        ))
+    };
+    Some(std::array::from_fn(|i| {
+        let top = pixel(0, 0, i) * (1.0 - u) + pixel(1, 0, i) * u;
+        let bottom = pixel(0, 1, i) * (1.0 - u) + pixel(1, 1, i) * u;
+        top * (1.0 - v) + bottom * v
+    }))
+}
+
+/// Slope of retinal arc against visual angle, by least squares over the cones.
+fn um_per_deg(cones: &ConeColumns) -> Option<f64> {
+    let n = cones.len() as f64;
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / n;
+    let (um, deg) = (mean(&cones.x_um), mean(&cones.x_deg));
+    let pairs = || {
+        cones
+            .x_um
+            .iter()
+            .map(move |x| x - um)
+            .zip(cones.x_deg.iter().map(move |x| x - deg))
+    };
+    let (cross, square) = pairs().fold((0.0, 0.0), |(c, s), (a, b)| (c + a * b, s + b * b));
+    (square > 0.0).then(|| (cross / square).abs())
+}
+
+/// The longer side of all outlines, which a picture's longer side shows.
+fn extent_um(shapes: &ConeShapes) -> f64 {
+    let side = |axis: usize| {
+        let values = shapes.corners.iter().map(|corner| f64::from(corner[axis]));
+        let (min, max) = values.fold((f64::MAX, f64::MIN), |(min, max), v| (min.min(v), max.max(v)));
+        max - min
+    };
+    side(0).max(side(1)).max(1e-3)
+}
+
+fn linear_from_srgb(value: f64) -> f64 {
+    if value <= 0.040_45 {
+        value / 12.92
+    } else {
+        ((value + 0.055) / 1.055).powf(2.4)
+    }
+}
+
+fn srgb_from_linear(light: f64) -> u8 {
+    let value = if light <= 0.003_130_8 {
+        12.92 * light
+    } else {
+        1.055 * light.powf(1.0 / 2.4) - 0.055
+    };
+    (value.clamp(0.0, 1.0) * 255.0).round() as u8
+}

@@ -1,0 +1,169 @@
+//! photoneye.toml and the defaults behind it.
+
+use std::env;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use crate::failure::{Failure, plain};
+
+/// What photoneye.toml may say.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Data folder.
+    pub data: Option<PathBuf>,
+    /// Folder of a worker's local copies.
+    pub cache: Option<PathBuf>,
+    /// Most bytes of local copies, a number with K, M, G or T behind it if need be.
+    pub cache_max: Option<String>,
+    /// Seconds without work after which a worker stops.
+    pub idle_exit: Option<f64>,
+    /// Pieces of work done at the same time.
+    pub workers: Option<usize>,
+    /// A running server.
+    pub server: Option<String>,
+    /// Address and port to serve on.
+    pub listen: Option<String>,
+}
+
+/// Where a server listens when nothing else is said.
+pub const DEFAULT_LISTEN: &str = "127.0.0.1:7733";
+/// Pieces of work done at the same time when nothing else is said: one computes while the other waits for the disk.
+pub const DEFAULT_WORKERS: usize = 2;
+/// Most bytes of local copies when nothing else is said.
+pub const DEFAULT_CACHE_MAX: u64 = 20_000_000_000;
+
+impl Settings {
+    /// Reads the named file, or photoneye.toml in this folder or in the user's configuration folder.
+    ///
+    /// # Errors
+    /// When the named file is missing, or a file has a wrong line.
+    pub fn load(named: Option<&Path>) -> Result<Self, Failure> {
+        if let Some(path) = named {
+            return Self::read(path)?
+                .ok_or_else(|| Failure::usage(format!("{}: no such file", path.display())));
+        }
+        let user = folder_of("XDG_CONFIG_HOME", ".config");
+        let places = [
+            Some(PathBuf::from("photoneye.toml")),
+            user.map(|f| f.join("photoneye.toml")),
+        ];
+        for path in places.iter().flatten() {
+            if let Some(settings) = Self::read(path)? {
+                return Ok(settings);
+            }
+        }
+        Ok(Self::default())
+    }
+
+    fn read(path: &Path) -> Result<Option<Self>, Failure> {
+        let text = match std::fs::read_to_string(path) {
+            Ok(text) => text,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(Failure::usage(format!("{}: {}", path.display(), plain(&e)))),
+        };
+        let settings = toml::from_str(&text);
+        settings
+            .map(Some)
+            .map_err(|error| Failure::usage(format!("{}: {}", path.display(), error.message())))
+    }
+
+    /// The data folder.
+    ///
+    /// # Errors
+    /// When nothing says where and there is no home folder.
+    pub fn data(&self, flag: Option<PathBuf>) -> Result<PathBuf, Failure> {
+        let default = || folder_of("XDG_DATA_HOME", ".local/share").map(|folder| folder.join("photoneye"));
+        flag.or_else(|| self.data.clone())
+            .or_else(default)
+            .ok_or_else(|| {
+                Failure::usage("no data folder: give --data DIR or set PHOTONEYE_DATA (there is no HOME)")
+            })
+    }
+
+    /// Pieces of work done at the same time.
+    pub fn workers(&self, flag: Option<usize>) -> usize {
+        flag.or(self.workers).unwrap_or(DEFAULT_WORKERS)
+    }
+
+    /// The server that is asked for, if any.
+    pub fn server(&self, flag: Option<String>) -> Option<String> {
+        flag.or_else(|| self.server.clone())
+    }
+
+    /// The server that is asked for, or the one on this machine.
+    pub fn server_or_local(&self, flag: Option<String>) -> String {
+        self.server(flag)
+            .unwrap_or_else(|| format!("http://{DEFAULT_LISTEN}"))
+    }
+
+    /// Most bytes of local copies.
+    ///
+    /// # Errors
+    /// When the text is not a number of bytes.
+    pub fn cache_max(&self, flag: Option<String>) -> Result<u64, Failure> {
+        let text = flag.or_else(|| self.cache_max.clone());
+        text.map_or(Ok(DEFAULT_CACHE_MAX), |text| {
+            bytes(&text).ok_or_else(|| {
+                Failure::usage(format!(
+                    "cache_max: `{text}` is not a number of bytes such as 20000000000 or 20G"
+                ))
+            })
+        })
+    }
+}
+
+/// `$variable`, else `below` the home folder.
+fn folder_of(variable: &str, below: &str) -> Option<PathBuf> {
+    let set = |name: &str| {
+        env::var_os(name)
+            .filter(|value| !value.is_empty())
+            .map(PathBuf::from)
+    };
+    set(variable).or_else(|| set("HOME").map(|home| home.join(below)))
+}
+
+/// `20G` is 20 000 000 000.
+fn bytes(text: &str) -> Option<u64> {
+    let text = text.trim();
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let factor = match text[digits.len()..].to_ascii_uppercase().trim_end_matches('B') {
+        "" => 1,
+        "K" => 1_000,
+        "M" => 1_000_000,
+        "G" => 1_000_000_000,
+        "T" => 1_000_000_000_000,
+        _ => return None,
+    };
+    digits.parse::<u64>().ok()?.checked_mul(factor)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn flag_over_file_over_default() {
+        let file: Settings = toml::from_str("workers = 5\ncache_max = \"3M\"").unwrap();
+        assert_eq!(file.workers(Some(1)), 1);
+        assert_eq!(file.workers(None), 5);
+        assert_eq!(Settings::default().workers(None), DEFAULT_WORKERS);
+        assert_eq!(file.cache_max(None).unwrap(), 3_000_000);
+        assert!(file.cache_max(Some("many".into())).is_err());
+    }
+
+    #[test]
+    fn unknown_lines_are_refused_by_name() {
+        let error = toml::from_str::<Settings>("wrokers = 5").unwrap_err();
+        assert!(error.message().contains("wrokers"), "{error}");
+    }
+
+    #[test]
+    fn sizes() {
+        assert_eq!(bytes("12"), Some(12));
+        assert_eq!(bytes("20GB"), Some(20_000_000_000));
+        assert_eq!(bytes("20X"), None);
+        assert_eq!(bytes("99999999999T"), None);
+    }
+}

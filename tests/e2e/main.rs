@@ -1,0 +1,8 @@
+//! The whole over real sockets, with the real binary: what a user types and what comes out.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod bad_input;
+mod crash;
+mod rest;
+mod run;
+mod support;

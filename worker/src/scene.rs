@@ -1,0 +1,114 @@
+//! Scenes that are ready to be counted. The many shards of one job use the same one, so the last few are kept.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Instant;
+
+use photoneye_eye::experiment::{Experiment, Video};
+use photoneye_eye::exposure::{Exposure, ExposureError};
+use photoneye_proto::v1;
+use photoneye_store::BlobDigest;
+use tokio::sync::{Mutex, OnceCell};
+
+use crate::lease::Lease;
+use crate::{Shared, WorkError, blocking};
+
+/// Scenes kept at the same time.
+const KEPT: usize = 2;
+
+/// A prepared scene.
+pub(crate) struct Scene {
+    pub(crate) exposure: Exposure,
+    /// Type of each cone of the tile: 0 L, 1 M, 2 S.
+    pub(crate) cone_types: Vec<u8>,
+    /// Digests of the pictures; empty for a drawn pattern.
+    pub(crate) clip: Vec<String>,
+}
+
+type Slot = Arc<OnceCell<Arc<Scene>>>;
+
+/// The last scenes, the latest at the back.
+#[derive(Default)]
+pub(crate) struct Scenes {
+    kept: Mutex<VecDeque<(BlobDigest, Slot)>>,
+}
+
+impl Scenes {
+    /// The scene of a shard, and the seconds that its preparation took (0 when it was there). Prepared once, however many
+    /// shards ask.
+    pub(crate) async fn get(
+        &self,
+        shared: &Shared,
+        lease: &Lease,
+        shard: &v1::Shard,
+    ) -> Result<(Arc<Scene>, f64), WorkError> {
+        let slot = self.slot(name(shard)).await;
+        let started = Instant::now();
+        let mut prepared = false;
+        let scene = slot
+            .get_or_try_init(|| {
+                prepared = true;
+                prepare(shared, lease, shard)
+            })
+            .await?;
+        let seconds = if prepared {
+            started.elapsed().as_secs_f64()
+        } else {
+            0.0
+        };
+        Ok((Arc::clone(scene), seconds))
+    }
+
+    async fn slot(&self, name: BlobDigest) -> Slot {
+        let mut kept = self.kept.lock().await;
+        let found = kept.iter().position(|(other, _)| *other == name);
+        let entry = found
+            .and_then(|place| kept.remove(place))
+            .unwrap_or_else(|| (name, Slot::default()));
+        let slot = Arc::clone(&entry.1);
+        kept.push_back(entry);
+        while kept.len() > KEPT {
+            kept.pop_front();
+        }
+        slot
+    }
+}
+
+/// Everything that a scene depends on.
+fn name(shard: &v1::Shard) -> BlobDigest {
+    let keys = shard.artifacts.iter().map(v1::ArtifactRef::digest);
+    let parts: Vec<&str> = std::iter::once(shard.experiment_json()).chain(keys).collect();
+    BlobDigest::of(parts.join("\n").as_bytes())
+}
+
+async fn prepare(shared: &Shared, lease: &Lease, shard: &v1::Shard) -> Result<Arc<Scene>, WorkError> {
+    let experiment: Experiment = serde_json::from_str(shard.experiment_json())
+        .map_err(|error| WorkError::Passing(format!("this worker cannot read the experiment: {error}")))?;
+    let mut artifacts = Vec::with_capacity(shard.artifacts.len());
+    for artifact in &shard.artifacts {
+        artifacts.push(shared.cache.artifact(artifact).await?);
+        lease.check()?;
+    }
+    let clip = match &experiment.video {
+        Video::Clip(pictures) => pictures.clone(),
+        Video::Pattern(_) => Vec::new(),
+    };
+    blocking(move || {
+        let exposure = Exposure::new(&experiment, &artifacts).map_err(model_error)?;
+        let cone_types = exposure.cone_types();
+        Ok(Arc::new(Scene {
+            exposure,
+            cone_types,
+            clip,
+        }))
+    })
+    .await
+}
+
+/// A damaged artifact may be whole at the next try; what the model refuses it refuses again.
+pub(crate) fn model_error(error: ExposureError) -> WorkError {
+    match error {
+        ExposureError::Artifact(..) => WorkError::Passing(error.to_string()),
+        ExposureError::Model(_) | ExposureError::PictureSize(..) => WorkError::Model(error.to_string()),
+    }
+}

@@ -1,0 +1,171 @@
+//! Computes one shard: some frames of one tile, a chunk a frame.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Instant;
+
+use bytes::Bytes;
+use photoneye_eye::exposure::{Frame, FrameCounts};
+use photoneye_eye::report::WorkReport;
+use photoneye_eye::video::{Limits, Picture, decode_png};
+use photoneye_proto::v1;
+use photoneye_store::table::{Counts, counts_stream};
+
+use crate::lease::{Done, Lease};
+use crate::scene::{Scene, model_error};
+use crate::{Shared, WorkError, blocking, memory};
+
+/// One computed and encoded frame.
+struct Chunk {
+    bytes: Vec<u8>,
+    frame: Frame,
+    summary: Summary,
+}
+
+/// Sums by cone type L, M, S.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Summary {
+    sum: [f64; 3],
+    sum_squares: [f64; 3],
+    cones: [u64; 3],
+}
+
+pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -> Result<Done, WorkError> {
+    lease.progress(0.0, "prepare");
+    let (scene, prepare_seconds) = shared.scenes.get(shared, lease, &shard).await?;
+    let mut report = WorkReport {
+        seconds: BTreeMap::from([("prepare".to_owned(), prepare_seconds)]),
+        ..WorkReport::default()
+    };
+    let mut pictures = Pictures::default();
+    let mut chunks = Vec::with_capacity(shard.frame_count() as usize);
+    for done in 0..shard.frame_count() {
+        // Between frames: is the answer still wanted?
+        lease.check()?;
+        let index = shard.first_frame() + done;
+        lease.progress(
+            f64::from(done) / f64::from(shard.frame_count()),
+            &format!("frame {index}"),
+        );
+
+        // Count the frame.
+        let picture = pictures.of_frame(shared, &scene, index).await?;
+        let started = Instant::now();
+        let (tile, first_cone, scene) = (shard.tile(), shard.first_cone(), Arc::clone(&scene));
+        let chunk = blocking(move || count(&scene, index, picture.as_deref(), tile, first_cone)).await?;
+        *report.seconds.entry("count".to_owned()).or_default() += started.elapsed().as_secs_f64();
+
+        // Hand the chunk over.
+        let digest = shared.remote.put(Bytes::from(chunk.bytes)).await?;
+        tell(&mut report, &chunk.frame, &chunk.summary);
+        chunks.push(v1::CommittedChunk {
+            frame: Some(index),
+            digest: Some(digest.to_string()),
+            sum: chunk.summary.sum.to_vec(),
+            sum_squares: chunk.summary.sum_squares.to_vec(),
+            cones: chunk.summary.cones.to_vec(),
+        });
+    }
+    report.peak_memory_bytes = memory::peak_bytes();
+    Ok(Done {
+        done: v1::commit_request::Done::Shard(v1::ShardResult { chunks }),
+        report,
+    })
+}
+
+/// Runs on a blocking thread: counts one frame and encodes it.
+fn count(
+    scene: &Scene,
+    index: u32,
+    picture: Option<&Picture>,
+    tile: u32,
+    first_cone: u64,
+) -> Result<Chunk, WorkError> {
+    let frame = scene.exposure.frame(index, picture).map_err(model_error)?;
+    let counts = match &frame.counts {
+        FrameCounts::Counts(counts) => Counts::U32(counts),
+        FrameCounts::Means(means) => Counts::F32(means),
+    };
+    Ok(Chunk {
+        bytes: counts_stream(index, tile, first_cone, counts)?,
+        summary: summarize(&frame.counts, &scene.cone_types),
+        frame,
+    })
+}
+
+fn summarize(counts: &FrameCounts, cone_types: &[u8]) -> Summary {
+    let values: Box<dyn Iterator<Item = f64> + '_> = match counts {
+        FrameCounts::Counts(counts) => Box::new(counts.iter().map(|&count| f64::from(count))),
+        FrameCounts::Means(means) => Box::new(means.iter().map(|&mean| f64::from(mean))),
+    };
+    let mut summary = Summary::default();
+    for (value, &cone_type) in values.zip(cone_types) {
+        let i = usize::from(cone_type.min(2));
+        summary.sum[i] += value;
+        summary.sum_squares[i] += value * value;
+        summary.cones[i] += 1;
+    }
+    summary
+}
+
+/// Adds one frame to the shard's report.
+fn tell(report: &mut WorkReport, frame: &Frame, summary: &Summary) {
+    report.budget.add(&frame.budget);
+    for (event, count) in &frame.diagnostics {
+        *report.diagnostics.entry(event.clone()).or_default() += count;
+    }
+    report.cones = summary.cones;
+    for i in 0..3 {
+        report.counted[i] += summary.sum[i];
+    }
+}
+
+/// The last decoded picture: consecutive frames often show the same.
+#[derive(Default)]
+struct Pictures {
+    last: Option<(String, Arc<Picture>)>,
+}
+
+impl Pictures {
+    /// The picture of a frame; when there are fewer pictures than frames, the last one stays.
+    async fn of_frame(
+        &mut self,
+        shared: &Shared,
+        scene: &Scene,
+        index: u32,
+    ) -> Result<Option<Arc<Picture>>, WorkError> {
+        let Some(digest) = scene.clip.get(index as usize).or(scene.clip.last()) else {
+            return Ok(None);
+        };
+        if let Some((last, picture)) = &self.last
+            && last == digest
+        {
+            return Ok(Some(Arc::clone(picture)));
+        }
+        let bytes = shared.cache.blob(digest).await?;
+        let name = digest.clone();
+        let picture = blocking(move || {
+            let decoded = decode_png(&bytes, Limits::default());
+            decoded.map_err(|error| WorkError::Model(format!("picture {name}: {error}")))
+        });
+        let picture = Arc::new(picture.await?);
+        self.last = Some((digest.clone(), Arc::clone(&picture)));
+        Ok(Some(picture))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_go_to_their_type() {
+        let summary = summarize(&FrameCounts::Counts(vec![1, 2, 3, 4]), &[0, 1, 1, 2]);
+        let expected = Summary {
+            sum: [1.0, 5.0, 4.0],
+            sum_squares: [1.0, 13.0, 16.0],
+            cones: [1, 2, 1],
+        };
+        assert_eq!(summary, expected);
+    }
+}
