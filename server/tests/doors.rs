@@ -7,7 +7,7 @@
 
 mod common;
 
-use common::{CONES, get, http, post, spec, start, work};
+use common::{CONES, get, http, post, spec, start, work, work_on};
 use photoneye_proto::v1;
 use photoneye_proto::v1::experiments_client::ExperimentsClient;
 use photoneye_server::{Options, Server, StartError};
@@ -221,7 +221,11 @@ async fn a_repeated_request_is_one_job() {
     assert_eq!(list["jobs"].as_array().unwrap().len(), 1);
     // The form that MATLAB and Octave send.
     let form = [("content-type", "application/x-www-form-urlencoded")];
-    let encoded = text.bytes().map(|byte| format!("%{byte:02X}")).collect::<Vec<_>>().concat();
+    let encoded = text
+        .bytes()
+        .map(|byte| format!("%{byte:02X}"))
+        .collect::<Vec<_>>()
+        .concat();
     let body = format!("spec={encoded}");
     let sent = http(server.local_addr(), "POST", "/v1/jobs", &form, body.as_bytes()).await;
     assert_eq!(sent.status, 201, "{}", sent.text());
@@ -335,5 +339,43 @@ async fn what_prevents_a_start_is_named() {
     options.data_dir = "/proc/photoneye".into();
     let unwritable = Server::start(options).await.unwrap_err().to_string();
     assert!(unwritable.contains("/proc/photoneye"), "{unwritable}");
+    server.shutdown().await;
+}
+
+#[tokio::test]
+async fn cones_and_pictures_come_from_the_retina() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = start(folder.path()).await;
+    let address = server.local_addr();
+    let id = post(address, "/v1/jobs", &spec()).await.json()["id"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    assert_eq!(
+        get(address, &format!("/v1/jobs/{id}/cones.arrow")).await.status,
+        409
+    );
+    work_on(&server.channel(), true).await;
+    let job = get(address, &format!("/v1/jobs/{id}")).await.json();
+    let file = get(address, &format!("/v1/jobs/{id}/cones.arrow")).await;
+    assert_eq!(file.status, 200, "{}", file.text());
+    let cones = photoneye_store::table::read_cones_file(&file.body).unwrap();
+    assert_eq!(job["cones"], json!(cones.len().to_string()));
+    let (x, y) = (cones.x_um[0] as f32, cones.y_um[0] as f32);
+    let corner = cones.polygon_of(0);
+    assert!(
+        (corner[0] - x).hypot(corner[1] - y) < 10.0,
+        "a polygon lies around its cone"
+    );
+    let mut pieces = ExperimentsClient::new(server.channel())
+        .get_cones(v1::JobRequest { id: Some(id.clone()) })
+        .await
+        .unwrap()
+        .into_inner();
+    let mut streamed = Vec::new();
+    while let Some(piece) = pieces.message().await.unwrap() {
+        streamed.extend_from_slice(piece.bytes());
+    }
+    assert_eq!(streamed, file.body);
     server.shutdown().await;
 }

@@ -3,6 +3,7 @@ use std::fmt::Write as _;
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 
+use photoneye_eye::artifact::ArtifactSpec;
 use photoneye_proto::v1;
 use photoneye_proto::v1::blobs_client::BlobsClient;
 use photoneye_proto::v1::lease_reply::Work;
@@ -108,6 +109,12 @@ async fn put(channel: &Channel, bytes: Vec<u8>) -> String {
 
 /// Leases and commits until there is nothing to do; says how many pieces.
 pub async fn work(channel: &Channel) -> usize {
+    work_on(channel, false).await
+}
+
+/// The same; with `real`, retinas are the model's, and counts fit them.
+pub async fn work_on(channel: &Channel, real: bool) -> usize {
+    let mut cones = CONES;
     let mut workers = WorkersClient::new(channel.clone());
     for count in 0.. {
         let request = v1::LeaseRequest {
@@ -120,14 +127,18 @@ pub async fn work(channel: &Channel) -> usize {
             Work::Nothing(_) => return count,
             Work::Build(build) => {
                 assert!(build.spec_json().starts_with('{'));
-                let digest = put(channel, build.key().as_bytes().to_vec()).await;
-                let cones = (build.kind() == "cones").then_some(CONES);
+                let (bytes, cones) = if real {
+                    built(channel, build).await
+                } else {
+                    made_up(build)
+                };
+                let digest = put(channel, bytes).await;
                 v1::commit_request::Done::Artifact(v1::ArtifactResult {
                     digest: Some(digest),
                     cones,
                 })
             }
-            Work::Shard(shard) => v1::commit_request::Done::Shard(counts(channel, shard).await),
+            Work::Shard(shard) => v1::commit_request::Done::Shard(counts(channel, shard, cones).await),
         };
         let request = v1::CommitRequest {
             id: lease.id,
@@ -140,12 +151,43 @@ pub async fn work(channel: &Channel) -> usize {
     unreachable!()
 }
 
+fn made_up(build: &v1::Build) -> (Vec<u8>, Option<u64>) {
+    let cones = (build.kind() == "cones").then_some(CONES);
+    (build.key().as_bytes().to_vec(), cones)
+}
+
+/// What the model builds; kernels are left out, nobody here counts.
+async fn built(channel: &Channel, build: &v1::Build) -> (Vec<u8>, Option<u64>) {
+    if build.kind() == "kernels" {
+        return made_up(build);
+    }
+    let mut inputs = Vec::new();
+    for input in &build.inputs {
+        let request = v1::GetBlobRequest {
+            digest: input.digest.clone(),
+        };
+        let mut pieces = BlobsClient::new(channel.clone())
+            .get(request)
+            .await
+            .unwrap()
+            .into_inner();
+        let mut bytes = Vec::new();
+        while let Some(piece) = pieces.message().await.unwrap() {
+            bytes.extend_from_slice(piece.bytes());
+        }
+        inputs.push((input.key().parse().unwrap(), bytes));
+    }
+    let spec: ArtifactSpec = serde_json::from_str(build.spec_json()).unwrap();
+    let built = spec.build(&inputs).unwrap();
+    (built.bytes, built.cones)
+}
+
 /// Frame `f` counts f, f + 1, ….
-async fn counts(channel: &Channel, shard: &v1::Shard) -> v1::ShardResult {
+async fn counts(channel: &Channel, shard: &v1::Shard, cones: u64) -> v1::ShardResult {
     assert!(shard.experiment_json().contains("pupil_mm"));
     let mut chunks = Vec::new();
     for frame in shard.first_frame()..shard.first_frame() + shard.frame_count() {
-        let values: Vec<u32> = (0..CONES as u32).map(|i| frame + i).collect();
+        let values: Vec<u32> = (0..cones as u32).map(|i| frame + i).collect();
         let bytes = counts_stream(frame, shard.tile(), shard.first_cone(), Counts::U32(&values)).unwrap();
         let sum = values.iter().map(|value| f64::from(*value)).sum();
         chunks.push(v1::CommittedChunk {
@@ -153,7 +195,7 @@ async fn counts(channel: &Channel, shard: &v1::Shard) -> v1::ShardResult {
             digest: Some(put(channel, bytes).await),
             sum: vec![sum, 0.0, 0.0],
             sum_squares: vec![0.0; 3],
-            cones: vec![CONES, 0, 0],
+            cones: vec![cones, 0, 0],
         });
     }
     v1::ShardResult { chunks }
