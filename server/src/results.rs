@@ -6,16 +6,16 @@ use std::time::Duration;
 use bytes::Bytes;
 use futures::Stream;
 use photoneye_proto::v1;
+use photoneye_store::BlobDigest;
 use photoneye_store::npy::{self, Scalar};
 use photoneye_store::table::{Chunk, CountsTable, CountsVec, read_counts};
-use photoneye_store::{BlobDigest, Blobs as _};
 
 use crate::error::{Error, Kind};
 use crate::jobs::{Command, JobState};
 use crate::service::Service;
 
 /// How long a request waits for lost bytes to be made again.
-const REMAKE: Duration = Duration::from_secs(120);
+const REMAKE: Duration = Duration::from_mins(2);
 
 /// What follows in the stream of results.
 enum Next {

@@ -45,7 +45,7 @@ impl Upload {
     ///
     /// # Errors
     /// When there are more than declared or allowed, or the store cannot write.
-    pub async fn push(&mut self, bytes: Bytes) -> Result<(), Error> {
+    pub fn push(&mut self, bytes: Bytes) -> Result<(), Error> {
         self.size += bytes.len() as u64;
         let most = self.declared.unwrap_or(self.limit);
         if self.size > most {

@@ -1,4 +1,11 @@
 //! Specs: defaults, presets with overrides, and errors that name the field, its value and what is allowed.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::too_many_lines,
+    clippy::float_cmp,
+    reason = "a test says by panicking what is wrong"
+)]
 
 use photoneye_eye::display::White;
 use photoneye_eye::experiment::{Experiment, Movement, Video};

@@ -30,7 +30,7 @@ impl Blobs for Door {
         let mut upload = Upload::begin(&self.0, Some(size)).await?;
         while let Some(message) = parts.message().await? {
             match message.part {
-                Some(Part::Bytes(bytes)) => upload.push(bytes).await?,
+                Some(Part::Bytes(bytes)) => upload.push(bytes)?,
                 Some(Part::Size(_)) | None => {
                     return Err(Error::new(Kind::Invalid, "after the size come bytes").into());
                 }

@@ -1,12 +1,13 @@
 //! The machine at work: a store behind a lock, a clock, and a bell that rings when something changed.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 use tokio::sync::{Mutex, watch};
 
+use super::command::{Command, Reply};
 use super::state::{State, WorkId};
-use super::step::{Command, Reply};
 use super::store::{JobStore, StoreError};
 
 /// How often leases are looked over.
@@ -14,8 +15,8 @@ const REAP_EVERY: Duration = Duration::from_secs(1);
 
 /// Runs steps one after the other.
 pub struct Machine {
-    store: Mutex<Box<dyn JobStore>>,
-    changed: watch::Sender<u64>,
+    store: Arc<Mutex<Box<dyn JobStore>>>,
+    changed: Arc<watch::Sender<u64>>,
     clock: Clock,
 }
 
@@ -23,8 +24,8 @@ impl Machine {
     /// A machine over a store.
     pub fn new(store: impl JobStore + 'static, clock: Clock) -> Self {
         Self {
-            store: Mutex::new(Box::new(store)),
-            changed: watch::Sender::new(0),
+            store: Arc::new(Mutex::new(Box::new(store))),
+            changed: Arc::new(watch::Sender::new(0)),
             clock,
         }
     }
@@ -34,17 +35,22 @@ impl Machine {
     /// # Errors
     /// When the store could not keep what it changed; then nothing was changed.
     pub async fn execute(&self, command: Command) -> Result<Reply, StoreError> {
-        let mut store = self.store.lock().await;
-        let leased = store.state().leased.len();
-        let beat = matches!(command, Command::Beat { .. });
-        let reap = matches!(command, Command::Reap);
-        let reply = store.execute(command, self.clock.now_ms()).await?;
-        let idle = beat || reply == Reply::Leased(None) || (reap && store.state().leased.len() == leased);
-        drop(store);
-        if !idle {
-            self.changed.send_modify(|count| *count += 1);
-        }
-        Ok(reply)
+        // A task of its own: a caller that goes away does not leave a transaction half done.
+        let (store, changed, clock) = (Arc::clone(&self.store), Arc::clone(&self.changed), self.clock);
+        let task = tokio::spawn(async move {
+            let mut store = store.lock().await;
+            let leased = store.state().leased.len();
+            let beat = matches!(command, Command::Beat { .. });
+            let reap = matches!(command, Command::Reap);
+            let reply = store.execute(command, clock.now_ms()).await?;
+            let idle = beat || reply == Reply::Leased(None) || (reap && store.state().leased.len() == leased);
+            drop(store);
+            if !idle {
+                changed.send_modify(|count| *count += 1);
+            }
+            Ok(reply)
+        });
+        task.await.map_err(|error| StoreError::Died(error.to_string()))?
     }
 
     /// Looks at the state.

@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 
+use super::command::{Command, Reply};
 use super::state::State;
-use super::step::{Command, Reply, step};
+use super::step::step;
 use super::store::{Documents, JobStore, StoreError};
 
 /// Keeps nothing beyond the process.

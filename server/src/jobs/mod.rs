@@ -2,6 +2,7 @@
 //!
 //! [`step`] is the whole logic, without I/O; a store only keeps what it changed.
 
+pub mod command;
 pub mod lease;
 pub mod machine;
 pub mod memory;
@@ -11,8 +12,9 @@ pub mod state;
 pub mod step;
 pub mod store;
 
+pub use command::{Command, Commit, NewArtifact, NewJob, Reply};
 pub use lease::{Lease, Phase};
 pub use machine::Machine;
 pub use state::{Artifact, Chunk, Job, JobState, Shard, State};
-pub use step::{Command, Commit, NewArtifact, NewJob, Reply, step};
+pub use step::step;
 pub use store::{JobStore, StoreError};

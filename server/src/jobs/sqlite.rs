@@ -18,9 +18,10 @@ use sqlx::{ConnectOptions as _, Connection as _, Row as _, SqlSafeStr as _};
 
 use photoneye_store::BlobDigest;
 
+use super::command::{Command, Effects, Reply, Row};
 use super::lease::{Lease, Phase};
 use super::state::{Artifact, Chunk, Job, JobState, Shard, State};
-use super::step::{Command, Effects, Reply, Row, step};
+use super::step::step;
 use super::store::{Documents, JobStore, StoreError};
 
 /// The tables, step by step.

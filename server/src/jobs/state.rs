@@ -249,6 +249,13 @@ impl State {
             .map(|job| job.id.clone())
             .collect();
         for job in self.jobs.values_mut() {
+            let mut order: Vec<_> = job
+                .chunks
+                .iter()
+                .map(|(place, chunk)| (chunk.seq, *place))
+                .collect();
+            order.sort_unstable();
+            job.order = order.into_iter().map(|(_, place)| place).collect();
             job.left = job
                 .shards
                 .iter()

@@ -4,170 +4,10 @@ use std::collections::BTreeSet;
 
 use photoneye_store::BlobDigest;
 
+use super::command::{Command, Commit, Effects, NewArtifact, NewJob, Reply, Row};
 use super::lease::{Lease, MAX_LOSSES, Phase, Verdict};
 use super::pick::pick;
 use super::state::{Artifact, Chunk, Job, JobState, Shard, State, Summary, WorkId};
-
-/// What can happen.
-#[derive(Clone, Debug)]
-pub enum Command {
-    /// A job is accepted.
-    Create(Box<NewJob>),
-    /// A worker asks for work.
-    Lease {
-        /// Its name.
-        worker: String,
-        /// Whether it lives in this process.
-        local: bool,
-        /// Keys of the artifacts that it holds.
-        holds: BTreeSet<String>,
-    },
-    /// A worker is alive.
-    Beat {
-        /// Its work.
-        id: WorkId,
-        /// Its fence.
-        fence: u64,
-        /// What it does, for people.
-        stage: String,
-    },
-    /// A worker has finished.
-    Commit {
-        /// Its work.
-        id: WorkId,
-        /// Its fence.
-        fence: u64,
-        /// What it made.
-        commit: Commit,
-        /// What it says about that, the model's own JSON.
-        report_json: Option<String>,
-    },
-    /// A computation failed.
-    Fail {
-        /// The work.
-        id: WorkId,
-        /// The worker's fence.
-        fence: u64,
-        /// Why.
-        message: String,
-        /// The same inputs would fail again.
-        deterministic: bool,
-    },
-    /// A lease is given back; counts as nothing.
-    Release {
-        /// The work.
-        id: WorkId,
-        /// The worker's fence.
-        fence: u64,
-    },
-    /// A user does not want a job any more.
-    Cancel(String),
-    /// Time has passed.
-    Reap,
-    /// An artifact's bytes are missing or damaged, and somebody wants them.
-    LostArtifact(String),
-    /// A result's bytes are missing or damaged: job, frame, tile.
-    LostChunk(String, u32, u32),
-}
-
-/// A job to be accepted.
-#[derive(Clone, Debug, Default)]
-pub struct NewJob {
-    /// Its name.
-    pub id: String,
-    /// Digest of the validated experiment.
-    pub experiment_digest: String,
-    /// The validated experiment, the model's own JSON.
-    pub experiment_json: String,
-    /// The plan, the model's own JSON.
-    pub plan_json: String,
-    /// Number of frames.
-    pub frames: u32,
-    /// Artifacts, each after the ones it is made from.
-    pub artifacts: Vec<NewArtifact>,
-    /// Per result tile the keys of the artifacts that its shards need, the cones first.
-    pub tiles: Vec<Vec<String>>,
-    /// First frame, number of frames, tile.
-    pub shards: Vec<(u32, u32, u32)>,
-    /// Predicted work of one shard, microseconds.
-    pub shard_us: u64,
-    /// Request id and digest of the request's body.
-    pub request: Option<(String, String)>,
-}
-
-/// An artifact that a job needs.
-#[derive(Clone, Debug, Default)]
-pub struct NewArtifact {
-    /// Its key.
-    pub key: String,
-    /// What it is.
-    pub kind: String,
-    /// Its inputs, the model's own JSON.
-    pub spec_json: String,
-    /// Keys of the artifacts that it is made from.
-    pub inputs: Vec<String>,
-    /// Predicted work, microseconds.
-    pub predicted_us: u64,
-}
-
-/// What a worker made; its bytes are in the store already.
-#[derive(Clone, Debug)]
-pub enum Commit {
-    /// An artifact.
-    Artifact {
-        /// Its bytes.
-        digest: BlobDigest,
-        /// Cones in it.
-        cones: Option<u64>,
-    },
-    /// Frame, digest and summary of each chunk of a shard, in frame order.
-    Shard(Vec<(u32, BlobDigest, Summary)>),
-}
-
-/// What the machine answers.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Reply {
-    /// Nothing to say.
-    Done,
-    /// The job, and whether it is new.
-    Created(String, bool),
-    /// That request id came with another body before.
-    OtherBody,
-    /// Work and its fence.
-    Leased(Option<(WorkId, u64)>),
-    /// Whether the worker held the lease; if not, nothing was changed.
-    Held(bool),
-    /// No such job.
-    NoSuchJob,
-    /// The commit does not fit the work.
-    Unfit(String),
-}
-
-/// A row that changed.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Row {
-    /// A job.
-    Job(String),
-    /// A shard of a job.
-    Shard(String, u32),
-    /// An artifact.
-    Artifact(String),
-    /// A result: job, frame, tile.
-    Chunk(String, u32, u32),
-    /// A request id.
-    Request(String),
-}
-
-/// What a step did.
-#[derive(Clone, Debug)]
-pub struct Effects {
-    /// The answer.
-    pub reply: Reply,
-    /// Rows to be kept, as the state has them now.
-    pub rows: BTreeSet<Row>,
-    /// Texts to be kept, by name.
-    pub documents: Vec<(String, String)>,
-}
 
 /// Carries out a command at a time (ms since 1970).
 pub fn step(state: &mut State, command: Command, now_ms: u64) -> Effects {
@@ -380,7 +220,7 @@ impl Step<'_> {
         }
         match (id, commit) {
             (WorkId::Build(key), Commit::Artifact { digest, cones }) => {
-                self.commit_artifact(key, digest, cones)
+                self.commit_artifact(key, digest, cones);
             }
             (WorkId::Shard(job, number), Commit::Shard(chunks)) => {
                 if let Err(reason) = self.commit_chunks(job, *number, chunks) {

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use futures::future::BoxFuture;
 
+use super::command::{Command, Reply};
 use super::state::State;
-use super::step::{Command, Reply};
 
 /// Why a store cannot keep or read rows.
 #[derive(Debug, thiserror::Error)]
@@ -19,6 +19,9 @@ pub enum StoreError {
     /// A row is not what this program writes.
     #[error("database row of another shape: {0}")]
     Row(String),
+    /// The step died; nothing was kept.
+    #[error("the job machine stumbled: {0}")]
+    Died(String),
 }
 
 /// Keeps what the machine's steps change. A command whose rows could not be kept has not happened.

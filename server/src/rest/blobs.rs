@@ -26,7 +26,7 @@ pub(super) async fn put(
     while let Some(piece) = stream.next().await {
         let piece =
             piece.map_err(|error| Error::new(Kind::Invalid, format!("the body broke off: {error}")))?;
-        upload.push(piece).await?;
+        upload.push(piece)?;
     }
     let digest = Some(upload.finish().await?.to_string());
     Ok((StatusCode::CREATED, Json(v1::PutBlobReply { digest })))

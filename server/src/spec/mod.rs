@@ -166,6 +166,7 @@ fn counts(spec: Option<&v1::Counts>) -> Result<Counts, FieldError> {
             rays: settings.paper_rays.unwrap_or(paper.rays),
             samples: settings.paper_samples.unwrap_or(paper.samples),
             window_um: number(settings.paper_window_um, paper.window_um),
+            node_um: number(settings.paper_node_um, paper.node_um),
         },
     })
 }
