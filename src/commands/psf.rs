@@ -65,7 +65,18 @@ pub fn run(context: &Context, args: &PsfArgs) -> Result<(), Failure> {
 
     let side = args.samples as usize;
     write_file(&args.out, &npy::f64_array(&[side, side], &values))?;
-    let energy = values.iter().sum::<f64>() * wavefront.density_per_um2() * grid.pitch_um().powi(2);
+    tell(context, args, &wavefront, &values, seconds)
+}
+
+fn tell(
+    context: &Context,
+    args: &PsfArgs,
+    wavefront: &Wavefront,
+    values: &[f64],
+    seconds: f64,
+) -> Result<(), Failure> {
+    let pitch_um = 2.0 * args.half_width_um / f64::from(args.samples);
+    let energy = values.iter().sum::<f64>() * wavefront.density_per_um2() * pitch_um.powi(2);
     if context.json {
         return output::json(&json!({
             "strehl": wavefront.strehl(),

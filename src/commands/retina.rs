@@ -189,8 +189,11 @@ fn ring(table: &ConeColumns, from_deg: f64, to_deg: f64) -> ConeColumns {
 }
 
 fn tell(context: &Context, args: &RetinaArgs, table: &ConeColumns, bands: &[Band]) -> Result<(), Failure> {
-    let of_type = |kind: u8| table.kind.iter().filter(|other| **other == kind).count();
-    let [l, m, s] = [of_type(0), of_type(1), of_type(2)];
+    let mut types = [0_u64; 3];
+    for kind in &table.kind {
+        types[usize::from(*kind).min(2)] += 1;
+    }
+    let [l, m, s] = types;
     let bands = || {
         bands
             .iter()
