@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::cli_optics::{PsfArgs, RetinaArgs, TraceArgs};
+
 /// Photon-accurate simulation of the human eye looking at a display.
 ///
 /// `photoneye run data/experiments/face.json` does everything in one process and leaves a folder with counts and pictures.
@@ -48,6 +50,12 @@ pub enum Command {
     Cancel(JobArgs),
     /// Draw the pictures of a result folder again
     Render(RenderArgs),
+    /// Grow the cones out to an eccentricity; prints figures of the mosaic
+    Retina(RetinaArgs),
+    /// Compute one point spread of the eye
+    Psf(PsfArgs),
+    /// Trace given rays through the unaccommodated eye
+    Trace(TraceArgs),
 }
 
 /// An experiment file with changes.

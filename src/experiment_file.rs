@@ -156,7 +156,10 @@ fn read_picture(path: &Path) -> Result<Picture, String> {
 }
 
 /// Applies one `a.b[0].c=value`; the value is JSON, or text when it is not.
-fn set(root: &mut Value, change: &str) -> Result<(), Failure> {
+///
+/// # Errors
+/// When the text has no such form or the place cannot be.
+pub fn set(root: &mut Value, change: &str) -> Result<(), Failure> {
     let wrong = |why: &str| Failure::usage(format!("--set {change}: {why}"));
     let (path, text) = change
         .split_once('=')

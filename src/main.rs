@@ -1,6 +1,7 @@
 //! The command line of photoneye: reads what the user asks, starts or calls the service, and tells what came out.
 
 mod cli;
+mod cli_optics;
 mod commands;
 mod counts_file;
 mod experiment_file;

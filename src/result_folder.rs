@@ -96,6 +96,28 @@ impl Draft {
     }
 }
 
+/// Writes one file whole: beside its place, then renamed.
+///
+/// # Errors
+/// When the place cannot be written.
+pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    let parent = match path.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    };
+    let failed = |e: std::io::Error| Failure::file("write", path, &e);
+    fs::create_dir_all(parent).map_err(failed)?;
+    let mut draft = tempfile::NamedTempFile::new_in(parent).map_err(failed)?;
+    draft.write_all(bytes).map_err(failed)?;
+    draft.persist(path).map_err(|e| failed(e.error))?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        fs::set_permissions(path, fs::Permissions::from_mode(0o644)).map_err(failed)?;
+    }
+    Ok(())
+}
+
 /// Temporary folders are private; a result is as readable as other folders.
 fn set_readable(path: &Path) {
     #[cfg(unix)]

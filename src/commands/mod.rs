@@ -3,11 +3,14 @@
 mod cancel;
 mod jobs;
 mod plan;
+mod psf;
 mod render;
 mod results;
+mod retina;
 mod run;
 mod serve;
 mod submit;
+mod trace;
 mod watch;
 mod worker;
 
@@ -46,6 +49,9 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Results(args) => block_on(results::run(context, args)),
         Command::Cancel(args) => block_on(cancel::run(context, args)),
         Command::Render(args) => render::run(&context, &args),
+        Command::Retina(args) => retina::run(&context, &args),
+        Command::Psf(args) => psf::run(&context, &args),
+        Command::Trace(args) => trace::run(&context, &args),
     }
 }
 

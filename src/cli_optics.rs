@@ -1,0 +1,141 @@
+//! What can be typed after `retina`, `psf` and `trace`, the commands that ask the model alone.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use photoneye_eye::optics::Dispersion;
+
+/// `retina`.
+#[derive(Debug, Args)]
+pub struct RetinaArgs {
+    /// Outer edge, visual degrees from the gaze centre
+    #[arg(long, value_name = "DEGREES")]
+    pub to_deg: f64,
+    /// Inner edge, visual degrees
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
+    pub from_deg: f64,
+    /// Seed of places, types and pointing
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// How the mosaic grows
+    #[arg(long, value_enum, default_value_t = GeneratorName::Domain)]
+    pub generator: GeneratorName,
+    /// Change a field: retina.peak_density_per_mm2=150000, eye.side=LEFT
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    pub set: Vec<String>,
+    /// Threads [default: as many as there are cores]
+    #[arg(long, env = "PHOTONEYE_THREADS", value_name = "N")]
+    pub threads: Option<usize>,
+    /// Cone table, an Arrow file
+    #[arg(long, value_name = "FILE.arrow")]
+    pub out: PathBuf,
+}
+
+/// How a mosaic grows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum GeneratorName {
+    /// Patches of hexagonal lattice, relaxed.
+    Domain,
+    /// The paper's growth in rings.
+    Ring,
+}
+
+/// Law of the refractive indices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DispersionName {
+    /// Straight lines between the published wavelengths (the paper's choice).
+    Polyline,
+    /// Herzberger's interpolation.
+    Herzberger,
+}
+
+impl From<DispersionName> for Dispersion {
+    fn from(name: DispersionName) -> Self {
+        match name {
+            DispersionName::Polyline => Self::Polyline,
+            DispersionName::Herzberger => Self::Herzberger,
+        }
+    }
+}
+
+/// `psf`.
+#[derive(Debug, Args)]
+pub struct PsfArgs {
+    /// Angle of the light to the optical axis in the fovea's meridian; the fovea is at 5
+    #[arg(long, default_value_t = 5.0, allow_hyphen_values = true)]
+    pub field_deg: f64,
+    /// Vacuum wavelength
+    #[arg(long, default_value_t = 543.0)]
+    pub wavelength_nm: f64,
+    /// Entrance pupil diameter; the physical stop is this over 1.1334061 at every wavelength
+    #[arg(long, default_value_t = 3.0)]
+    pub pupil_mm: f64,
+    /// Vergence of the object, dioptres, positive in front of the eye: 2 is 500 mm away
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    pub object_vergence_d: f64,
+    /// Accommodation parameter A; 0 is the unaccommodated eye
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    pub accommodation_a: f64,
+    /// Law of the refractive indices
+    #[arg(long, value_enum, default_value_t = DispersionName::Herzberger)]
+    pub dispersion: DispersionName,
+    /// Decentre of the stop
+    #[arg(long, default_value_t = 0.4, allow_hyphen_values = true)]
+    pub decentre_mm: f64,
+    /// What the amplitude over the pupil follows: the flux of the rays, or evenly over the stop
+    #[arg(long, value_enum, default_value_t = AmplitudeName::Flux)]
+    pub amplitude: AmplitudeName,
+    /// Samples along a side
+    #[arg(long, default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub samples: u32,
+    /// Half of the side; samples lie at (i + 0.5 - N/2)·2·half-width/N about the chief ray of the same wavelength
+    #[arg(long, default_value_t = 10.0)]
+    pub half_width_um: f64,
+    /// The fitted wavefront as a matrix product, or Huygens' sum over traced rays
+    #[arg(long, value_enum, default_value_t = MethodName::Fit)]
+    pub method: MethodName,
+    /// Compute so many times and print seconds per point spread
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub repeat: u32,
+    /// Array [i][j] of f64; i along the retina's tangent away from the optical axis
+    #[arg(long, value_name = "FILE.npy")]
+    pub out: PathBuf,
+}
+
+/// Amplitude over the pupil.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum AmplitudeName {
+    /// Root of the ray map's Jacobian.
+    Flux,
+    /// The area of the stop weighs evenly.
+    Uniform,
+}
+
+/// How a point spread is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum MethodName {
+    /// Huygens' sum with exact distances, slow.
+    Huygens,
+    /// Polynomial wavefront, matrix product.
+    Fit,
+}
+
+/// `trace`.
+#[derive(Debug, Args)]
+pub struct TraceArgs {
+    /// Rays: columns px, py, pz (mm), sx, sy, sz, wavelength_nm and, if wanted, dispersion
+    #[arg(long, value_name = "FILE.csv")]
+    pub rays: PathBuf,
+    /// Entrance pupil diameter that decides the fate
+    #[arg(long, default_value_t = 3.0)]
+    pub pupil_mm: f64,
+    /// Decentre of the stop
+    #[arg(long, default_value_t = 0.4, allow_hyphen_values = true)]
+    pub decentre_mm: f64,
+    /// Law of the refractive indices where the file does not say
+    #[arg(long, value_enum, default_value_t = DispersionName::Herzberger)]
+    pub dispersion: DispersionName,
+    /// Hits, optical path and fate, a row a ray in the order of the rays
+    #[arg(long, value_name = "FILE.csv")]
+    pub out: PathBuf,
+}
