@@ -1,7 +1,7 @@
 //! The engines `paper` (photon by photon) and `expected` (exact means) agree on a benign scene.
 //!
 //! With the paper's own settings they differ by that method's errors: the 20 µm window, renormalized, and 1024 perturbed rays. With a
-//! wide window and many rays what remains is chance, which a chi-square test measures.
+//! wide window and many rays what remains is chance and a stated 2 %, which a chi-square test measures.
 
 #![allow(
     clippy::unwrap_used,
@@ -62,7 +62,7 @@ fn both(settings: PaperSettings) -> (Vec<f64>, Vec<f64>, PhotonBudget, PhotonBud
 }
 
 #[test]
-fn with_a_wide_window_only_chance_remains() {
+fn with_a_wide_window_they_agree_within_the_stated_error() {
     let settings = PaperSettings { rays: 16384, samples: 256, window_um: 120.0, node_um: 150.0 };
     let (means, counts, expected, paper) = both(settings);
     // Cones with enough photons for a normal approximation.
@@ -71,8 +71,16 @@ fn with_a_wide_window_only_chance_remains() {
     let n = terms.len() as f64;
     let chi2 = terms.iter().sum::<f64>() / n;
     println!("chi²/n {chi2:.4} over {n} cones");
-    // Five standard deviations of chi²/n (alpha 6e-7), and 0.02 for the errors that both have left.
-    assert!(n > 1000.0 && (chi2 - 1.0).abs() < 5.0 * (2.0 / n).sqrt() + 0.02, "chi²/n {chi2} over {n} cones");
+    // A relative error e of the paper's tables adds e²·mean to chi²/n. The stated error is 2 %: the wide window still cuts 1 % of
+    // the light off and the nearest node's spread is up to 0.25° away; both shrink with the window (60 to 120 µm: bias 1.4 to
+    // 0.5 %) and the nodes (150 to 50 µm: chi²/n 1.27 to 1.11). Chance: five standard deviations (alpha 6e-7).
+    let mean = means.iter().filter(|m| **m > 50.0).sum::<f64>() / n;
+    let stated = 0.02_f64.powi(2) * mean;
+    assert!(
+        n > 1000.0 && chi2 < 1.0 + stated + 5.0 * (2.0 / n).sqrt(),
+        "chi²/n {chi2} over {n} cones of mean {mean}"
+    );
+    assert!(chi2 > 1.0 - 5.0 * (2.0 / n).sqrt(), "chi²/n {chi2} is too small for independent Poisson counts");
     let (all_means, all_counts): (f64, f64) = (means.iter().sum(), counts.iter().sum());
     println!("total {:.6}", all_counts / all_means);
     assert!((all_counts - all_means).abs() < 5.0 * all_means.sqrt() + 2e-3 * all_means);

@@ -34,22 +34,21 @@ fn l1(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum::<f64>() / b.iter().sum::<f64>()
 }
 
+/// The default target of 1 % is kept against settings for 0.1 %, on pictures from flat to a single lit pixel.
 #[test]
-fn default_settings_keep_their_promise() {
+fn the_default_target_is_kept() {
     for pattern in [
         Pattern::Checkerboard { square_px: 1 },
-        Pattern::Checkerboard { square_px: 5 },
         Pattern::Point { at_px: [15, 15], rgb: [1.0; 3] },
         Pattern::Uniform { rgb: [1.0; 3] },
     ] {
         let mut experiment = figure_12(pattern.clone());
         experiment.counts.poisson = false;
-        experiment.accuracy_target = 1e-4;
+        experiment.accuracy_target = 1e-3;
         let reference = means(&experiment);
-        for target in [1e-3, 0.01] {
-            experiment.accuracy_target = target;
-            let error = l1(&means(&experiment), &reference);
-            println!("{pattern:?} target {target}: L1 {error:.2e}");
-        }
+        experiment.accuracy_target = 0.01;
+        let error = l1(&means(&experiment), &reference);
+        println!("{pattern:?}: L1 {error:.2e}");
+        assert!(error < 0.01, "{pattern:?}: L1 {error:.2e}");
     }
 }

@@ -1,6 +1,6 @@
 //! Pictures of results: every cone's aperture filled with its count per area, as in Figures 12 to 16.
 //!
-//! The picture is upright as the viewer sees the screen. Cone types are white-balanced (each type's mean becomes the same grey)
+//! The picture is upright as the viewer sees the screen. Cone types are white-balanced (each type's bright level becomes the same grey)
 //! and lightly tinted: L reddish, M greenish, S bluish. Cone ids are rasterized once per view; a frame is a look-up.
 
 mod raster;
@@ -101,28 +101,29 @@ impl View {
 fn colours(shapes: &ConeShapes, counts: &[f64]) -> Vec<[f32; 3]> {
     let mut light: Vec<f64> =
         counts.iter().zip(&shapes.aperture_um2).map(|(n, area)| n / f64::from(*area).max(1e-9)).collect();
-    let mut sums = [(0.0, 0_u32); 3];
+    // A type's bright level is its 90th percentile: the mean would depend on how much of the patch is dark.
+    let mut by_type = [const { Vec::new() }; 3];
     for (value, kind) in light.iter().zip(&shapes.cone_type) {
-        let sum = &mut sums[usize::from(*kind).min(2)];
-        *sum = (sum.0 + value, sum.1 + 1);
+        by_type[usize::from(*kind).min(2)].push(*value);
     }
-    let means = sums.map(|(sum, n)| if sum > 0.0 { sum / f64::from(n) } else { 1.0 });
+    let levels =
+        by_type.map(|values| Some(percentile(values, 0.9)).filter(|level| *level > 0.0).unwrap_or(1.0));
     for (value, kind) in light.iter_mut().zip(&shapes.cone_type) {
-        *value /= means[usize::from(*kind).min(2)];
+        *value /= levels[usize::from(*kind).min(2)];
     }
-    let mut sorted = light.clone();
-    sorted.sort_by(f64::total_cmp);
-    let white = sorted
-        .get(((sorted.len() as f64) * (1.0 - CLIPPED)) as usize)
-        .or(sorted.last())
-        .copied()
-        .unwrap_or(1.0);
-    let white = if white > 0.0 { white } else { 1.0 };
+    let white = Some(percentile(light.clone(), 1.0 - CLIPPED)).filter(|white| *white > 0.0).unwrap_or(1.0);
     light
         .iter()
         .zip(&shapes.cone_type)
         .map(|(value, kind)| TINT[usize::from(*kind).min(2)].map(|tint| tint * (value / white) as f32))
         .collect()
+}
+
+/// The value below which a share of the values lies; 0 for none.
+fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let at = (values.len() as f64 * share) as usize;
+    values.get(at).or(values.last()).copied().unwrap_or(0.0)
 }
 
 fn encode_srgb(light: f32) -> u8 {

@@ -1,0 +1,69 @@
+//! Times of the engines on the scene of Figure 12, one line a measurement: `cargo bench -p photoneye-eye --bench exposure`.
+//! The paper's engine is the anchor: both are timed in the same run.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    missing_docs,
+    reason = "a benchmark prints and stops at the first error"
+)]
+
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+use std::time::Instant;
+
+use photoneye_eye::experiment::{Engine, Experiment, Pattern};
+use photoneye_eye::exposure::Exposure;
+use support::{exposure, figure_12};
+
+/// Median wall seconds of a few runs.
+fn median(runs: usize, mut f: impl FnMut()) -> f64 {
+    let mut seconds: Vec<f64> = (0..runs)
+        .map(|_| {
+            let started = Instant::now();
+            f();
+            started.elapsed().as_secs_f64()
+        })
+        .collect();
+    seconds.sort_by(f64::total_cmp);
+    seconds[runs / 2]
+}
+
+fn prepared(experiment: &Experiment) -> Exposure {
+    let started = Instant::now();
+    let (plan, exposure) = exposure(experiment);
+    let cold = started.elapsed().as_secs_f64();
+    println!(
+        "plan, build and prepare, nothing cached      {cold:8.3} s   {} cones, grid {:?}",
+        exposure.len(),
+        plan.grid
+    );
+    exposure
+}
+
+fn main() {
+    // The picture with 1 degree of retina around it: some 50,000 cones.
+    let mut experiment = figure_12(Pattern::Checkerboard { square_px: 3 });
+    experiment.retina.region_deg = Some([-1.25, 1.25, -1.25, 1.25]);
+    let wide = prepared(&experiment);
+    let frame = median(9, || drop(wide.frame(0, None).unwrap()));
+    println!(
+        "expected, one frame                          {:8.1} ms  {:.2} µs a cone",
+        1e3 * frame,
+        1e6 * frame / wide.len() as f64
+    );
+
+    let mut experiment = figure_12(Pattern::Checkerboard { square_px: 3 });
+    let expected = prepared(&experiment);
+    let fast = median(9, || drop(expected.frame(0, None).unwrap()));
+    experiment.counts.engine = Engine::Paper;
+    let paper = prepared(&experiment);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let photons = paper.frame(0, None).unwrap().budget.into_pupil();
+    let slow = pool.install(|| median(1, || drop(paper.frame(0, None).unwrap())));
+    println!(
+        "paper, one frame on one core                 {slow:8.2} s   {:.2} million photons a second",
+        1e-6 * photons / slow
+    );
+    println!("paper / expected, one frame                  {:8.0}", slow / fast);
+}
