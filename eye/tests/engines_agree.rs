@@ -49,6 +49,8 @@ fn sums(experiment: &Experiment, frames: u32) -> (Vec<f64>, PhotonBudget) {
 }
 
 const FRAMES: u32 = 2;
+/// Share of the light that a window of 120 µm cuts off, 0.62 µm / 60 µm; the paper's method puts it back inside.
+const WINDOW: f64 = 0.01;
 
 fn both(settings: PaperSettings) -> (Vec<f64>, Vec<f64>, PhotonBudget, PhotonBudget) {
     let mut experiment = benign();
@@ -83,7 +85,7 @@ fn with_a_wide_window_they_agree_within_the_stated_error() {
     assert!(chi2 > 1.0 - 5.0 * (2.0 / n).sqrt(), "chi²/n {chi2} is too small for independent Poisson counts");
     let (all_means, all_counts): (f64, f64) = (means.iter().sum(), counts.iter().sum());
     println!("total {:.6}", all_counts / all_means);
-    assert!((all_counts - all_means).abs() < 5.0 * all_means.sqrt() + 2e-3 * all_means);
+    assert!((all_counts - all_means).abs() < 5.0 * all_means.sqrt() + WINDOW * all_means);
     for (name, a, b) in [
         ("pupil", expected.into_pupil(), paper.into_pupil()),
         ("cornea", expected.cornea, paper.cornea),
@@ -94,7 +96,7 @@ fn with_a_wide_window_they_agree_within_the_stated_error() {
         ("not isomerized", expected.not_isomerized, paper.not_isomerized),
     ] {
         println!("{name}: {a:.0} {b:.0}");
-        assert!((a - b).abs() < 5.0 * a.sqrt() + 5e-3 * a, "{name}: {a} {b}");
+        assert!((a - b).abs() < 5.0 * a.sqrt() + WINDOW * a, "{name}: {a} {b}");
     }
     assert!((paper.fates() / paper.emitted - 1.0).abs() < 1e-12);
 }
