@@ -130,11 +130,11 @@ fn head(colour: &mut Rgb, x: f64, y: f64) {
     let (u, v) = ((x - 0.5) / (0.232 * jaw), (y - 0.495) / 0.317);
     let inside = u * u + v * v;
     let normal_z = (1.0 - inside.min(1.0)).sqrt();
-    let key = (-0.62 * u - 0.42 * v + 0.66 * normal_z).max(0.0);
+    let key = (-0.58 * u - 0.20 * v + 0.79 * normal_z).max(0.0);
     let fill = (0.8 * u + 0.5 * normal_z).max(0.0);
     let skin = srgb(250, 200, 168);
     let warm = srgb(204, 120, 92);
-    let lit: Rgb = std::array::from_fn(|i| skin[i] * (0.10 + 0.95 * key) + 0.13 * warm[i] * fill);
+    let lit: Rgb = std::array::from_fn(|i| skin[i] * (0.12 + 0.88 * key) + 0.13 * warm[i] * fill);
     paint(colour, lit, (inside.sqrt() - 1.0) * 0.23, 0.012);
     for cheek in [0.395, 0.605] {
         let blush = (-((x - cheek).powi(2) + (y - 0.60).powi(2)) / 0.004).exp();
@@ -147,24 +147,22 @@ fn head(colour: &mut Rgb, x: f64, y: f64) {
 fn eye(colour: &mut Rgb, x: f64, y: f64, side: f64) {
     let (cx, cy) = (0.5 + 0.100 * side, 0.490);
     let socket = (-((x - cx).powi(2) / 0.0060 + (y - cy + 0.012).powi(2) / 0.0022)).exp();
-    *colour = mix(*colour, srgb(120, 66, 52), 0.40 * socket);
+    *colour = mix(*colour, srgb(150, 88, 70), 0.30 * socket);
     let white = if side < 0.0 {
         srgb(246, 242, 236)
     } else {
         srgb(206, 196, 192)
     };
-    let opening = ellipse(x, y, (cx, cy), (0.062, 0.034));
+    let opening = ellipse(x, y, (cx, cy + 0.006), (0.064, 0.040));
     paint(colour, white, opening, 0.006);
-    let iris = ellipse(x, y, (cx + 0.006, cy - 0.002), (0.030, 0.033)).max(opening);
+    let iris = ellipse(x, y, (cx + 0.006, cy + 0.004), (0.032, 0.038)).max(opening);
     paint(colour, srgb(58, 88, 96), iris, 0.006);
     paint(
         colour,
         srgb(10, 10, 14),
-        ellipse(x, y, (cx + 0.006, cy - 0.002), (0.016, 0.018)),
+        ellipse(x, y, (cx + 0.006, cy + 0.004), (0.019, 0.022)),
         0.005,
     );
-    let lid = ellipse(x, y, (cx, cy - 0.034), (0.066, 0.012));
-    paint(colour, srgb(58, 30, 24), lid, 0.008);
     // Brows are arches, a little lower at the temples.
     let outward = (x - cx) * side;
     let rise = -0.10 * outward - 2.5 * outward.powi(2);
@@ -191,20 +189,20 @@ fn mouth(colour: &mut Rgb, x: f64, y: f64) {
     let lower = ellipse(x, y + smile, (0.5, 0.738), (0.072, 0.024));
     paint(
         colour,
-        mix(srgb(176, 58, 58), srgb(122, 34, 40), smooth(-0.06, 0.08, u)),
+        mix(srgb(128, 26, 34), srgb(84, 12, 22), smooth(-0.06, 0.08, u)),
         upper,
         0.006,
     );
     paint(
         colour,
-        mix(srgb(214, 92, 86), srgb(150, 52, 54), smooth(-0.06, 0.08, u)),
+        mix(srgb(158, 40, 46), srgb(104, 22, 30), smooth(-0.06, 0.08, u)),
         lower,
         0.006,
     );
     let line = ellipse(x, y + smile, (0.5, 0.723), (0.088, 0.006));
-    paint(colour, srgb(72, 18, 22), line, 0.006);
+    paint(colour, srgb(40, 6, 10), line, 0.006);
     let chin = (-((x - 0.5).powi(2) / 0.004 + (y - 0.780).powi(2) / 0.0003)).exp();
-    *colour = mix(*colour, srgb(120, 66, 52), 0.35 * chin);
+    *colour = mix(*colour, srgb(120, 66, 52), 0.15 * chin);
 }
 
 /// Hair over the forehead: the parting is at the left of the picture.

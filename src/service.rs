@@ -17,6 +17,10 @@ use crate::cli::WhereArgs;
 use crate::failure::{Failure, plain};
 use crate::settings::{self, Settings};
 
+/// How long the first answer of a server may take.
+const FIRST_ANSWER: Duration = Duration::from_secs(1);
+/// How long a server may be away in the middle.
+const RESTART: Duration = Duration::from_mins(2);
 /// How long a stop waits for work that was begun.
 const DRAIN: Duration = Duration::from_secs(20);
 
@@ -38,6 +42,21 @@ pub struct Embedded {
     workers: Option<JoinHandle<()>>,
 }
 
+/// A client of a running server, when it answers; later on a restart of the server is waited for.
+///
+/// # Errors
+/// When the URL is wrong or nobody answers.
+pub async fn connect(url: &str) -> Result<Client, Failure> {
+    let client = Client::connect(url)?;
+    client
+        .clone()
+        .patience(FIRST_ANSWER)
+        .jobs("")
+        .await
+        .map_err(|error| Failure::failed(format!("{url}: {error}")))?;
+    Ok(client.patience(RESTART))
+}
+
 impl Service {
     /// The server that is asked for, or one started here.
     ///
@@ -46,7 +65,7 @@ impl Service {
     pub async fn open(settings: &Settings, place: WhereArgs) -> Result<Self, Failure> {
         if let Some(url) = settings.server(place.server) {
             return Ok(Self {
-                client: Client::connect(&url)?,
+                client: connect(&url).await?,
                 embedded: None,
             });
         }

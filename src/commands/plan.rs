@@ -1,5 +1,7 @@
 //! `plan`: what would be computed, what is left out and why, and what it costs.
 
+use std::collections::BTreeMap;
+
 use photoneye_proto::v1;
 
 use super::Context;
@@ -70,18 +72,7 @@ fn explain(plan: &v1::Plan) -> Vec<String> {
             plan.grid_height()
         ));
     }
-    for artifact in &plan.artifacts {
-        let state = if artifact.cached() {
-            "there already"
-        } else {
-            "to build"
-        };
-        lines.push(format!(
-            "Build         {} ({state}, about {:.2} s)",
-            artifact.kind(),
-            artifact.predicted_seconds()
-        ));
-    }
+    lines.extend(builds(plan));
     for omission in &plan.omissions {
         lines.push(format!(
             "Left out      {}: {} (error at most {:.1e})",
@@ -96,4 +87,23 @@ fn explain(plan: &v1::Plan) -> Vec<String> {
         plan.predicted_bytes() / 1e6
     ));
     lines
+}
+
+/// One line a kind of artifact.
+fn builds(plan: &v1::Plan) -> Vec<String> {
+    let mut kinds: BTreeMap<&str, (u32, u32, f64)> = BTreeMap::new();
+    for artifact in &plan.artifacts {
+        let (there, needed, seconds) = kinds.entry(artifact.kind()).or_default();
+        *there += u32::from(artifact.cached());
+        *needed += 1;
+        *seconds += if artifact.cached() {
+            0.0
+        } else {
+            artifact.predicted_seconds()
+        };
+    }
+    let line = |(kind, (there, needed, seconds)): (&str, (u32, u32, f64))| {
+        format!("Build         {needed} x {kind}, {there} there already, about {seconds:.2} s")
+    };
+    kinds.into_iter().map(line).collect()
 }
