@@ -31,7 +31,6 @@ pub struct ExperimentFile {
 struct Picture {
     path: PathBuf,
     bytes: Bytes,
-    size: (u32, u32),
 }
 
 impl ExperimentFile {
@@ -88,26 +87,20 @@ impl ExperimentFile {
         Ok(())
     }
 
-    /// Holds the pictures against the display of the validated experiment.
-    ///
-    /// # Errors
-    /// The first picture of another size, by name.
-    pub fn check_sizes(&self, experiment_json: &str) -> Result<(), Failure> {
-        let validated: Value = serde_json::from_str(experiment_json).unwrap_or_default();
-        let of = |field: &str| validated["display"][field].as_u64();
-        let (Some(width), Some(height)) = (of("width_px"), of("height_px")) else {
-            return Ok(());
+    /// Says which file is meant where the server names an upload.
+    pub fn name_pictures(&self, failure: Failure) -> Failure {
+        let name = |text: String| {
+            let named = |(text, i): (String, usize), picture: &Picture| {
+                let path = picture.path.display().to_string();
+                (text.replace(&format!("video.clip.blobs[{i}]"), &path), i + 1)
+            };
+            self.pictures.iter().fold((text, 0), named).0
         };
-        for picture in &self.pictures {
-            let (w, h) = picture.size;
-            if (u64::from(w), u64::from(h)) != (width, height) {
-                return Err(Failure::usage(format!(
-                    "{}: the picture is {w}x{h} pixels, the display is {width}x{height} (display.width_px, display.height_px)",
-                    picture.path.display()
-                )));
-            }
+        match failure {
+            Failure::Usage(text) => Failure::Usage(name(text)),
+            Failure::Failed(text) => Failure::Failed(name(text)),
+            Failure::BrokenPipe => Failure::BrokenPipe,
         }
-        Ok(())
     }
 }
 
@@ -147,11 +140,10 @@ fn read_picture(path: &Path) -> Result<Picture, String> {
         return Err(format!("{length} bytes, allowed are {MAX_PICTURE_BYTES}"));
     }
     let bytes = Bytes::from(std::fs::read(path).map_err(|e| plain(&e))?);
-    let size = png_size(&bytes, Limits::default()).map_err(|e| e.to_string())?;
+    png_size(&bytes, Limits::default()).map_err(|e| e.to_string())?;
     Ok(Picture {
         path: path.to_owned(),
         bytes,
-        size,
     })
 }
 

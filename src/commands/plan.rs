@@ -33,9 +33,8 @@ pub async fn run(context: Context, args: PlanArgs) -> Result<(), Failure> {
 
 async fn ask(service: &Service, experiment: &mut ExperimentFile) -> Result<v1::PlanReply, Failure> {
     experiment.upload(&service.client).await?;
-    let reply = service.client.plan(experiment.experiment.clone()).await?;
-    experiment.check_sizes(reply.experiment_json())?;
-    Ok(reply)
+    let reply = service.client.plan(experiment.experiment.clone()).await;
+    reply.map_err(|error| experiment.name_pictures(error.into()))
 }
 
 /// The plan's own fields, and the experiment with every default filled in.

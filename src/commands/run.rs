@@ -52,8 +52,8 @@ async fn submit(
     quiet: bool,
 ) -> Result<(v1::Job, Progress), Failure> {
     experiment.upload(client).await?;
-    let plan = client.plan(experiment.experiment.clone()).await?;
-    experiment.check_sizes(plan.experiment_json())?;
+    let plan = client.plan(experiment.experiment.clone()).await;
+    let plan = plan.map_err(|error| experiment.name_pictures(error.into()))?;
     let mut progress = Progress::new(quiet);
     if let Some(plan) = &plan.plan {
         progress.say(&forecast(plan));

@@ -13,7 +13,8 @@ pub async fn run(context: Context, args: SubmitArgs) -> Result<(), Failure> {
     let client = connect(&context.settings.server_or_local(args.server.server)).await?;
     experiment.upload(&client).await?;
     let key = args.request_id.unwrap_or_else(request_id);
-    let job = client.create_job(experiment.experiment, &key).await?;
+    let job = client.create_job(experiment.experiment.clone(), &key).await;
+    let job = job.map_err(|error| experiment.name_pictures(error.into()))?;
     if context.json {
         output::json(&job)
     } else {

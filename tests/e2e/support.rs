@@ -122,8 +122,13 @@ impl Server {
         serde_json::from_slice(&bytes).unwrap()
     }
 
-    /// Status and body of a POST.
-    pub fn post(&self, path: &str, key: Option<&str>, text: &str) -> (u16, Value) {
+    /// A POST that may break off.
+    pub fn try_post(
+        &self,
+        path: &str,
+        key: Option<&str>,
+        text: &str,
+    ) -> Result<ureq::http::Response<ureq::Body>, ureq::Error> {
         let mut request = self
             .agent
             .post(format!("{}{path}", self.url))
@@ -131,7 +136,12 @@ impl Server {
         if let Some(key) = key {
             request = request.header("Idempotency-Key", key);
         }
-        let (status, bytes) = body(request.send(text).unwrap());
+        request.send(text)
+    }
+
+    /// Status and body of a POST.
+    pub fn post(&self, path: &str, key: Option<&str>, text: &str) -> (u16, Value) {
+        let (status, bytes) = body(self.try_post(path, key, text).unwrap());
         let value = serde_json::from_slice(&bytes);
         (
             status,
