@@ -14,19 +14,11 @@ fn main() -> io::Result<()> {
         let path = data.join(folder);
         println!("cargo::rerun-if-changed={}", path.display());
         for file in sorted_files(&path, ending)? {
-            let name = file
-                .file_stem()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into_owned();
+            let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             let file = file.canonicalize()?;
             println!("cargo::rerun-if-changed={}", file.display());
-            writeln!(
-                table,
-                "    ({folder:?}, {name:?}, include_str!({:?})),",
-                file.display().to_string()
-            )
-            .map_err(io::Error::other)?;
+            writeln!(table, "    ({folder:?}, {name:?}, include_str!({:?})),", file.display().to_string())
+                .map_err(io::Error::other)?;
         }
     }
     table.push_str("];\n");

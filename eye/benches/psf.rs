@@ -52,11 +52,7 @@ fn main() -> Result<(), OpticsError> {
             1e6 / 32.0 * best(50, || otf.radial(0.5, &nus)),
         );
         if pupil_mm < 3.5 && vergence < 0.5 {
-            let rays = HuygensOptions {
-                radial: 16,
-                azimuth: 64,
-                exact_distance: true,
-            };
+            let rays = HuygensOptions { radial: 16, azimuth: 64, exact_distance: true };
             let slow = best(2, || huygens::psf(&eye, object, 543.0, &options, &rays, &grid));
             println!(
                 "  direct Huygens sum, 1024 rays, all cores: {:.0} ms; the matrix form is {:.0} times faster",
@@ -89,17 +85,12 @@ fn projection(p: &Prescription) -> Result<(), OpticsError> {
         "chief ray to the retina {:.2} µs",
         1e6 * best(200, || screen.retina_um(DVec2::new(0.1, 0.2), 543.0))
     );
-    println!(
-        "retina to screen, exact {:.1} µs",
-        1e6 * best(200, || screen.screen_tangent(um))
-    );
+    println!("retina to screen, exact {:.1} µs", 1e6 * best(200, || screen.screen_tangent(um)));
     println!(
         "fit over ±2 mm {:.2} ms, error {:.1e}; evaluation {:.0} ns",
         1e3 * best(5, || screen.fit(DVec2::splat(-2000.0), DVec2::splat(2000.0))),
         fit.max_error(),
-        1e6 * best(20, || (0..1000)
-            .map(|k| fit.screen_tangent(um + f64::from(k)).x)
-            .sum::<f64>())
+        1e6 * best(20, || (0..1000).map(|k| fit.screen_tangent(um + f64::from(k)).x).sum::<f64>())
     );
     Ok(())
 }

@@ -25,18 +25,11 @@ fn report(what: &str, mut work: impl FnMut() -> usize) {
 
 fn main() {
     let p = RetinaParams::default();
-    let region = |half: f64| RegionUm {
-        min: DVec2::splat(-half),
-        max: DVec2::splat(half),
-    };
+    let region = |half: f64| RegionUm { min: DVec2::splat(-half), max: DVec2::splat(half) };
     for half in [150.0, 350.0, 450.0] {
-        report(&format!("region ±{half} µm"), || {
-            build_region(&p, &region(half)).map_or(0, |r| r.len())
-        });
+        report(&format!("region ±{half} µm"), || build_region(&p, &region(half)).map_or(0, |r| r.len()));
     }
     for (i, j) in [(0, 0), (1, 0), (2, 0), (8, 8), (32, 0)] {
-        report(&format!("tile ({i}, {j})"), || {
-            build_tile(&p, TileId { i, j }).map_or(0, |t| t.len())
-        });
+        report(&format!("tile ({i}, {j})"), || build_tile(&p, TileId { i, j }).map_or(0, |t| t.len()));
     }
 }

@@ -116,16 +116,8 @@ impl ArtifactSpec {
                 })
             }
             Self::Kernels(spec) => {
-                let bytes = spec
-                    .build()
-                    .and_then(|k| k.to_bytes())
-                    .map_err(BuildError::Model)?;
-                Ok(Built {
-                    bytes,
-                    cones: None,
-                    cones_by_type: [0; 3],
-                    diagnostics: Vec::new(),
-                })
+                let bytes = spec.build().and_then(|k| k.to_bytes()).map_err(BuildError::Model)?;
+                Ok(Built { bytes, cones: None, cones_by_type: [0; 3], diagnostics: Vec::new() })
             }
         }
     }
@@ -145,21 +137,13 @@ fn read_tiles(keys: &[Digest], inputs: &[Input]) -> Result<Vec<RetinaTile>, Buil
 
 fn by_type(types: &[ConeType]) -> [u64; 3] {
     let mut counts = [0; 3];
-    types.iter().for_each(|t| counts[*t as usize] += 1);
+    for cone_type in types {
+        counts[*cone_type as usize] += 1;
+    }
     counts
 }
 
 fn events(counts: Counts) -> Vec<(String, u64)> {
-    let names = [
-        "coincident cones parted",
-        "close pairs",
-        "voids",
-        "concave cells",
-        "limited steps",
-    ];
-    names
-        .iter()
-        .map(|n| (*n).to_owned())
-        .zip(counts.to_array())
-        .collect()
+    let names = ["coincident cones parted", "close pairs", "voids", "concave cells", "limited steps"];
+    names.iter().map(|n| (*n).to_owned()).zip(counts.to_array()).collect()
 }

@@ -73,18 +73,9 @@ mod tests {
     fn distinguishes_what_json_would_not() {
         let digest = |seed: u64| digest_of("test", 1, &seed).unwrap();
         assert_ne!(digest(1 << 53), digest((1 << 53) + 1));
-        assert_ne!(
-            digest_of("a", 1, &1_u8).unwrap(),
-            digest_of("b", 1, &1_u8).unwrap()
-        );
-        assert_ne!(
-            digest_of("a", 1, &1_u8).unwrap(),
-            digest_of("a", 2, &1_u8).unwrap()
-        );
-        assert_ne!(
-            digest_of("a", 1, &("ab", "c")).unwrap(),
-            digest_of("a", 1, &("a", "bc")).unwrap()
-        );
+        assert_ne!(digest_of("a", 1, &1_u8).unwrap(), digest_of("b", 1, &1_u8).unwrap());
+        assert_ne!(digest_of("a", 1, &1_u8).unwrap(), digest_of("a", 2, &1_u8).unwrap());
+        assert_ne!(digest_of("a", 1, &("ab", "c")).unwrap(), digest_of("a", 1, &("a", "bc")).unwrap());
     }
 
     #[test]

@@ -186,12 +186,7 @@ pub struct PaperSettings {
 
 impl Default for PaperSettings {
     fn default() -> Self {
-        Self {
-            rays: 1024,
-            samples: 128,
-            window_um: 20.0,
-            node_um: 300.0,
-        }
+        Self { rays: 1024, samples: 128, window_um: 20.0, node_um: 300.0 }
     }
 }
 
@@ -210,11 +205,7 @@ pub struct RangeError {
 impl RangeError {
     /// An error for `field`.
     pub fn new(field: &str, value: impl ToString, allowed: &str) -> Self {
-        Self {
-            field: field.into(),
-            value: value.to_string(),
-            allowed: allowed.into(),
-        }
+        Self { field: field.into(), value: value.to_string(), allowed: allowed.into() }
     }
 }
 
@@ -239,52 +230,20 @@ impl Experiment {
         self.retina.validate()?;
         self.display.validate()?;
         self.validate_video()?;
-        for (axis, value) in ["gaze.center_px[0]", "gaze.center_px[1]"]
-            .iter()
-            .zip(self.gaze.center_px)
-        {
+        for (axis, value) in ["gaze.center_px[0]", "gaze.center_px[1]"].iter().zip(self.gaze.center_px) {
             check_range(axis, value, -4096.0, 8192.0)?;
         }
-        if let Movement::Drift {
-            speed_arcmin_per_s,
-            direction_deg,
-        } = self.gaze.movement
-        {
-            check_range(
-                "gaze.movement.drift.speed_arcmin_per_s",
-                speed_arcmin_per_s,
-                0.0,
-                60000.0,
-            )?;
+        if let Movement::Drift { speed_arcmin_per_s, direction_deg } = self.gaze.movement {
+            check_range("gaze.movement.drift.speed_arcmin_per_s", speed_arcmin_per_s, 0.0, 60000.0)?;
             check_range("gaze.movement.drift.direction_deg", direction_deg, -360.0, 360.0)?;
         }
         if let Some(step) = self.counts.wavelength_step_nm {
             check_range("counts.settings.wavelength_step_nm", step, 1.0, 20.0)?;
         }
-        check_range(
-            "counts.settings.paper_rays",
-            f64::from(self.counts.paper.rays),
-            16.0,
-            65536.0,
-        )?;
-        check_range(
-            "counts.settings.paper_samples",
-            f64::from(self.counts.paper.samples),
-            16.0,
-            512.0,
-        )?;
-        check_range(
-            "counts.settings.paper_window_um",
-            self.counts.paper.window_um,
-            5.0,
-            2000.0,
-        )?;
-        check_range(
-            "counts.settings.paper_node_um",
-            self.counts.paper.node_um,
-            10.0,
-            5000.0,
-        )?;
+        check_range("counts.settings.paper_rays", f64::from(self.counts.paper.rays), 16.0, 65536.0)?;
+        check_range("counts.settings.paper_samples", f64::from(self.counts.paper.samples), 16.0, 512.0)?;
+        check_range("counts.settings.paper_window_um", self.counts.paper.window_um, 5.0, 2000.0)?;
+        check_range("counts.settings.paper_node_um", self.counts.paper.node_um, 10.0, 5000.0)?;
         check_range("accuracy.target", self.accuracy_target, 1e-5, 0.2)?;
         check_range("frames.count", f64::from(self.frames), 1.0, 100_000.0)
     }
@@ -293,33 +252,15 @@ impl Experiment {
         match &self.video {
             Video::Clip(blobs) => check_range("video.clip.blobs", blobs.len() as f64, 1.0, 100_000.0),
             Video::Pattern(Pattern::Uniform { rgb }) => check_rgb("video.pattern.uniform.rgb", *rgb),
-            Video::Pattern(Pattern::Grating {
-                cycles_per_degree,
-                contrast,
-                orientation_deg,
-                phase_deg,
-            }) => {
-                check_range(
-                    "video.pattern.grating.cycles_per_degree",
-                    *cycles_per_degree,
-                    0.0,
-                    1000.0,
-                )?;
+            Video::Pattern(Pattern::Grating { cycles_per_degree, contrast, orientation_deg, phase_deg }) => {
+                check_range("video.pattern.grating.cycles_per_degree", *cycles_per_degree, 0.0, 1000.0)?;
                 check_range("video.pattern.grating.contrast", *contrast, 0.0, 1.0)?;
-                check_range(
-                    "video.pattern.grating.orientation_deg",
-                    *orientation_deg,
-                    -360.0,
-                    360.0,
-                )?;
+                check_range("video.pattern.grating.orientation_deg", *orientation_deg, -360.0, 360.0)?;
                 check_range("video.pattern.grating.phase_deg", *phase_deg, -360.0, 360.0)
             }
-            Video::Pattern(Pattern::Checkerboard { square_px }) => check_range(
-                "video.pattern.checkerboard.square_px",
-                f64::from(*square_px),
-                1.0,
-                4096.0,
-            ),
+            Video::Pattern(Pattern::Checkerboard { square_px }) => {
+                check_range("video.pattern.checkerboard.square_px", f64::from(*square_px), 1.0, 4096.0)
+            }
             Video::Pattern(Pattern::Point { at_px, rgb }) => {
                 let last = [self.display.width_px - 1, self.display.height_px - 1];
                 for axis in 0..2 {
@@ -352,29 +293,14 @@ impl Eye {
         check_range("eye.focus.wavelength_nm", self.focus_wavelength_nm, 390.0, 830.0)?;
         check_range("eye.macular_peak_density", self.macular_peak_density, 0.0, 2.0)?;
         check_range("eye.lens_density_scale", self.lens_density_scale, 0.0, 5.0)?;
-        check_range(
-            "eye.stiles_crawford.rho_per_mm2",
-            self.stiles_crawford_rho10_per_mm2,
-            0.0,
-            0.2,
-        )?;
-        check_range(
-            "eye.stiles_crawford.perturbation_deg",
-            self.pointing_sd_deg,
-            0.0,
-            5.0,
-        )
+        check_range("eye.stiles_crawford.rho_per_mm2", self.stiles_crawford_rho10_per_mm2, 0.0, 0.2)?;
+        check_range("eye.stiles_crawford.perturbation_deg", self.pointing_sd_deg, 0.0, 5.0)
     }
 }
 
 impl Retina {
     fn validate(&self) -> Result<(), RangeError> {
-        check_range(
-            "retina.peak_density_per_mm2",
-            self.peak_density_per_mm2,
-            98_200.0,
-            324_100.0,
-        )?;
+        check_range("retina.peak_density_per_mm2", self.peak_density_per_mm2, 98_200.0, 324_100.0)?;
         for (name, share) in ["l", "m", "s"].iter().zip(self.cone_ratio) {
             check_range(&format!("retina.cone_ratio.{name}"), share, 0.0, 1.0)?;
         }

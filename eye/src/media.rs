@@ -30,12 +30,7 @@ impl Media {
     /// When the embedded tables cannot be read.
     pub fn new(scale: f64, macular_peak: f64) -> Result<Self, String> {
         let table = Table::load("prereceptor-density")?;
-        Ok(Self {
-            lens: table.spline("lens")?,
-            macula: table.spline("macula")?,
-            scale,
-            macular_peak,
-        })
+        Ok(Self { lens: table.spline("lens")?, macula: table.spline("macula")?, scale, macular_peak })
     }
 
     /// Transmittance of the cornea; `path` = path length relative to the axial thickness.

@@ -45,9 +45,5 @@ pub fn photons_per_lumen(nm: f64) -> f64 {
 /// When the embedded table of the luminous efficiency cannot be read.
 pub fn luminous_flux_per_power(samples: &[Sample]) -> Result<f64, String> {
     let efficiency = Table::load("luminous-efficiency")?.spline("v")?;
-    Ok(LUMENS_PER_WATT
-        * samples
-            .iter()
-            .map(|s| s.power * efficiency.at(s.nm).max(0.0))
-            .sum::<f64>())
+    Ok(LUMENS_PER_WATT * samples.iter().map(|s| s.power * efficiency.at(s.nm).max(0.0)).sum::<f64>())
 }

@@ -59,12 +59,7 @@ impl Stream {
     pub fn new(seed: u64, purpose: Purpose, a: u64, b: u64) -> Self {
         // The key mixes seed, purpose and the high words; the counter holds b, the low word of a and the block number.
         let mixed = philox(
-            [
-                seed as u32,
-                (seed >> 32) as u32,
-                (a >> 32) as u32,
-                (b >> 32) as u32,
-            ],
+            [seed as u32, (seed >> 32) as u32, (a >> 32) as u32, (b >> 32) as u32],
             [purpose as u32, 0x7068_6F74],
         );
         Self {
@@ -128,15 +123,9 @@ mod tests {
     /// Known answers of the authors' Random123 library.
     #[test]
     fn philox_known_answers() {
+        assert_eq!(philox([0; 4], [0; 2]), [0x6627_e8d5, 0xe169_c58d, 0xbc57_ac4c, 0x9b00_dbd8]);
         assert_eq!(
-            philox([0; 4], [0; 2]),
-            [0x6627_e8d5, 0xe169_c58d, 0xbc57_ac4c, 0x9b00_dbd8]
-        );
-        assert_eq!(
-            philox(
-                [0x243f_6a88, 0x85a3_08d3, 0x1319_8a2e, 0x0370_7344],
-                [0xa409_3822, 0x299f_31d0]
-            ),
+            philox([0x243f_6a88, 0x85a3_08d3, 0x1319_8a2e, 0x0370_7344], [0xa409_3822, 0x299f_31d0]),
             [0xd16c_fe09, 0x94fd_cceb, 0x5001_e420, 0x2412_6ea1]
         );
     }

@@ -107,15 +107,8 @@ fn smooth_samples(f: impl Fn(f64) -> f64) -> Vec<Sample> {
     (0..=last)
         .map(|i| {
             let nm = MIN_NM + STEP_NM * i as f64;
-            let width = if i == 0 || i == last {
-                0.5 * STEP_NM
-            } else {
-                STEP_NM
-            };
-            Sample {
-                nm,
-                power: width * f(nm),
-            }
+            let width = if i == 0 || i == last { 0.5 * STEP_NM } else { STEP_NM };
+            Sample { nm, power: width * f(nm) }
         })
         .filter(|s| s.power > 0.0)
         .collect()
@@ -127,10 +120,7 @@ fn line_samples(nm: f64, fwhm_nm: f64) -> Vec<Sample> {
     let weight = |i: i32| (-0.5 * (f64::from(i) / 4.0).powi(2)).exp();
     let total: f64 = (-16..=16).map(weight).sum();
     (-16..=16)
-        .map(|i| Sample {
-            nm: nm + sd * f64::from(i) / 4.0,
-            power: weight(i) / total,
-        })
+        .map(|i| Sample { nm: nm + sd * f64::from(i) / 4.0, power: weight(i) / total })
         .filter(|s| (MIN_NM..=MAX_NM).contains(&s.nm))
         .collect()
 }
@@ -165,14 +155,9 @@ impl Table {
     /// When there is no such table (the message lists them) or a row is not numbers.
     pub fn load(name: &str) -> Result<Self, String> {
         let text = catalog::text("spectra", name).ok_or_else(|| {
-            format!(
-                "no spectrum table `{name}`, there are {}",
-                catalog::names("spectra").join(", ")
-            )
+            format!("no spectrum table `{name}`, there are {}", catalog::names("spectra").join(", "))
         })?;
-        let mut lines = text
-            .lines()
-            .filter(|l| !l.starts_with('#') && !l.trim().is_empty());
+        let mut lines = text.lines().filter(|l| !l.starts_with('#') && !l.trim().is_empty());
         let header: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
         let mut columns: Vec<(String, Vec<f64>)> =
             header.iter().map(|h| ((*h).to_owned(), Vec::new())).collect();
@@ -187,22 +172,12 @@ impl Table {
             }
             for (cell, (_, column)) in cells.iter().zip(&mut columns) {
                 column.push(
-                    cell.trim()
-                        .parse()
-                        .map_err(|_| format!("table `{name}`: `{cell}` is not a number"))?,
+                    cell.trim().parse().map_err(|_| format!("table `{name}`: `{cell}` is not a number"))?,
                 );
             }
         }
-        let nm = if columns.is_empty() {
-            Vec::new()
-        } else {
-            columns.remove(0).1
-        };
-        Ok(Self {
-            name: name.to_owned(),
-            nm,
-            columns,
-        })
+        let nm = if columns.is_empty() { Vec::new() } else { columns.remove(0).1 };
+        Ok(Self { name: name.to_owned(), nm, columns })
     }
 
     /// One column by name.
@@ -210,22 +185,10 @@ impl Table {
     /// # Errors
     /// When there is no such column; the message lists them.
     pub fn column(&self, name: &str) -> Result<&[f64], String> {
-        self.columns
-            .iter()
-            .find(|(n, _)| n == name)
-            .map(|(_, v)| v.as_slice())
-            .ok_or_else(|| {
-                let known: Vec<String> = self
-                    .columns
-                    .iter()
-                    .map(|(n, _)| format!("{}/{n}", self.name))
-                    .collect();
-                format!(
-                    "no spectrum `{}/{name}`, there are {}",
-                    self.name,
-                    known.join(", ")
-                )
-            })
+        self.columns.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_slice()).ok_or_else(|| {
+            let known: Vec<String> = self.columns.iter().map(|(n, _)| format!("{}/{n}", self.name)).collect();
+            format!("no spectrum `{}/{name}`, there are {}", self.name, known.join(", "))
+        })
     }
 
     /// One column as a natural cubic spline.
@@ -263,11 +226,7 @@ impl Spline {
         for i in (1..n.saturating_sub(1)).rev() {
             bend[i] -= upper[i] * bend[i + 1];
         }
-        Self {
-            x: x.to_vec(),
-            y: y.to_vec(),
-            bend,
-        }
+        Self { x: x.to_vec(), y: y.to_vec(), bend }
     }
 
     /// The value at `at`.
@@ -293,18 +252,10 @@ mod tests {
 
     #[test]
     fn a_line_keeps_its_power_and_its_centre() {
-        let samples = Spectrum::Line {
-            nm: 543.0,
-            fwhm_nm: 2.0,
-        }
-        .samples();
+        let samples = Spectrum::Line { nm: 543.0, fwhm_nm: 2.0 }.samples();
         let power: f64 = samples.iter().map(|s| s.power).sum();
         let mean: f64 = samples.iter().map(|s| s.power * s.nm).sum::<f64>() / power;
-        let variance: f64 = samples
-            .iter()
-            .map(|s| s.power * (s.nm - mean).powi(2))
-            .sum::<f64>()
-            / power;
+        let variance: f64 = samples.iter().map(|s| s.power * (s.nm - mean).powi(2)).sum::<f64>() / power;
         assert!((power - 1.0).abs() < 1e-12 && (mean - 543.0).abs() < 1e-9);
         assert!(((variance * 8.0 * std::f64::consts::LN_2).sqrt() - 2.0).abs() < 0.002);
     }

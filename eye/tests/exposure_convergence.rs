@@ -1,5 +1,12 @@
 //! Convergence of the engine `expected`: default settings against a finer reference.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests fail by panicking and print what they measured"
+)]
+
 mod support;
 
 use photoneye_eye::experiment::{Experiment, Pattern};
@@ -32,10 +39,7 @@ fn default_settings_keep_their_promise() {
     for pattern in [
         Pattern::Checkerboard { square_px: 1 },
         Pattern::Checkerboard { square_px: 5 },
-        Pattern::Point {
-            at_px: [15, 15],
-            rgb: [1.0; 3],
-        },
+        Pattern::Point { at_px: [15, 15], rgb: [1.0; 3] },
         Pattern::Uniform { rgb: [1.0; 3] },
     ] {
         let mut experiment = figure_12(pattern.clone());

@@ -1,5 +1,12 @@
 //! The engine `expected` on whole scenes: conservation, radiometry, orientation, determinism.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests fail by panicking and print what they measured"
+)]
+
 mod support;
 
 use photoneye_eye::display::Channel;
@@ -27,37 +34,18 @@ fn retina(experiment: &Experiment) -> Retina {
 /// A small patch with one line of light, so that a test takes little time.
 fn small(pattern: Pattern) -> Experiment {
     let mut experiment = figure_12(pattern);
-    experiment.display.primaries = vec![primary(
-        Channel::White,
-        Spectrum::Line {
-            nm: 555.0,
-            fwhm_nm: 0.0,
-        },
-    )];
+    experiment.display.primaries = vec![primary(Channel::White, Spectrum::Line { nm: 555.0, fwhm_nm: 0.0 })];
     experiment.counts.poisson = false;
     experiment
 }
 
 #[test]
 fn every_photon_has_one_fate() {
-    for pattern in [
-        WHITE,
-        Pattern::Uniform { rgb: [0.0; 3] },
-        Pattern::Checkerboard { square_px: 3 },
-    ] {
+    for pattern in [WHITE, Pattern::Uniform { rgb: [0.0; 3] }, Pattern::Checkerboard { square_px: 3 }] {
         let (_, exposure) = exposure(&figure_12(pattern));
         let budget = exposure.frame(0, None).unwrap().budget;
-        assert!(
-            (budget.fates() - budget.emitted).abs() <= 1e-12 * budget.emitted,
-            "{budget:#?}"
-        );
-        let parts = [
-            budget.cornea,
-            budget.lens,
-            budget.macula,
-            budget.stiles_crawford,
-            budget.not_absorbed,
-        ];
+        assert!((budget.fates() - budget.emitted).abs() <= 1e-12 * budget.emitted, "{budget:#?}");
+        let parts = [budget.cornea, budget.lens, budget.macula, budget.stiles_crawford, budget.not_absorbed];
         assert!(parts.iter().all(|p| *p >= 0.0) && budget.between_cones >= -1e-3 * budget.into_pupil());
     }
 }
@@ -89,10 +77,7 @@ fn a_uniform_field_gives_the_radiometric_rates() {
     for (kind, expected) in [(0, 131.0), (1, 114.0)] {
         let rate = sums[kind][0] / sums[kind][1];
         let expected: f64 = expected * 10_f64.powf(-0.016);
-        assert!(
-            (rate / expected - 1.0).abs() < 0.01,
-            "type {kind}: {rate} R*/s/td/arcmin²"
-        );
+        assert!((rate / expected - 1.0).abs() < 0.01, "type {kind}: {rate} R*/s/td/arcmin²");
     }
 }
 
@@ -106,10 +91,7 @@ fn landing(side: Side, at_px: [u32; 2]) -> ([f64; 2], [f64; 2]) {
     let columns = cone_columns(&experiment, &retina(&experiment)).unwrap();
     let total: f64 = means.iter().sum();
     let mean = |values: &[f64]| values.iter().zip(&means).map(|(v, m)| v * m).sum::<f64>() / total;
-    (
-        [mean(&columns.x_deg), mean(&columns.y_deg)],
-        [mean(&columns.x_um), mean(&columns.y_um)],
-    )
+    ([mean(&columns.x_deg), mean(&columns.y_deg)], [mean(&columns.x_um), mean(&columns.y_um)])
 }
 
 /// A lit pixel is seen where it is, and falls upside down on the retina; nasal retina sees the temporal field.
@@ -121,10 +103,7 @@ fn the_image_is_upright_in_the_field_and_upside_down_on_the_retina() {
         let (seen, landed) = landing(side, [22, 10]);
         assert!((seen[0] - 7.5 * pixel_deg).abs() < 0.1 * pixel_deg, "{seen:?}");
         assert!((seen[1] - 4.5 * pixel_deg).abs() < 0.1 * pixel_deg, "{seen:?}");
-        assert!(
-            (landed[0] * nasal / (seen[0] * 287.0) - 1.0).abs() < 0.02,
-            "{landed:?}"
-        );
+        assert!((landed[0] * nasal / (seen[0] * 287.0) - 1.0).abs() < 0.02, "{landed:?}");
         assert!((landed[1] / (-seen[1] * 287.0) - 1.0).abs() < 0.02, "{landed:?}");
     }
 }
@@ -132,14 +111,8 @@ fn the_image_is_upright_in_the_field_and_upside_down_on_the_retina() {
 /// A drift to the right moves the image to the left in the field.
 #[test]
 fn drift_moves_the_image_against_the_gaze() {
-    let mut experiment = small(Pattern::Point {
-        at_px: [15, 15],
-        rgb: [1.0; 3],
-    });
-    experiment.gaze.movement = Movement::Drift {
-        speed_arcmin_per_s: 600.0,
-        direction_deg: 0.0,
-    };
+    let mut experiment = small(Pattern::Point { at_px: [15, 15], rgb: [1.0; 3] });
+    experiment.gaze.movement = Movement::Drift { speed_arcmin_per_s: 600.0, direction_deg: 0.0 };
     experiment.frames = 2;
     let (_, exposure) = exposure(&experiment);
     let columns = cone_columns(&experiment, &retina(&experiment)).unwrap();
@@ -157,18 +130,13 @@ fn the_same_bytes_on_one_and_two_threads_and_in_any_order() {
     let mut experiment = figure_12(Pattern::Checkerboard { square_px: 2 });
     experiment.frames = 3;
     let on = |threads: usize, order: &[u32]| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .unwrap();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let plan = plan(&experiment).unwrap();
             let built = build(&plan);
             let (_, exposure) = exposure(&experiment);
-            let mut frames: Vec<_> = order
-                .iter()
-                .map(|&i| (i, exposure.frame(i, None).unwrap().counts))
-                .collect();
+            let mut frames: Vec<_> =
+                order.iter().map(|&i| (i, exposure.frame(i, None).unwrap().counts)).collect();
             frames.sort_by_key(|f| f.0);
             (built, frames)
         })

@@ -16,13 +16,7 @@ fn eye(pupil_mm: f64) -> SchematicEye {
     let (decentre_mm, dispersion) = (0.4, Dispersion::Polyline);
     SchematicEye::new(
         &p,
-        &EyeState {
-            pupil_mm,
-            decentre_mm,
-            accommodation_a: 0.0,
-            dispersion,
-            side: Side::Right,
-        },
+        &EyeState { pupil_mm, decentre_mm, accommodation_a: 0.0, dispersion, side: Side::Right },
     )
     .unwrap()
 }
@@ -34,13 +28,7 @@ fn wavefront(
     nm: f64,
     options: &WavefrontOptions,
 ) -> Wavefront {
-    Wavefront::new(
-        &eye(pupil_mm),
-        Object::field(field_deg, vergence_d).unwrap(),
-        nm,
-        options,
-    )
-    .unwrap()
+    Wavefront::new(&eye(pupil_mm), Object::field(field_deg, vergence_d).unwrap(), nm, options).unwrap()
 }
 
 #[test]
@@ -53,10 +41,7 @@ fn diffraction_limit() {
         let x = f64::from(k) / 100.0;
         let v = otf.value(DVec2::from_angle(1.3) * (x * cutoff));
         let wanted = 2.0 / PI * (x.acos() - x * (1.0 - x * x).sqrt());
-        assert!(
-            (v - Complex64::new(wanted, 0.0)).norm() < 2e-7,
-            "{x}: {v} is not {wanted}"
-        );
+        assert!((v - Complex64::new(wanted, 0.0)).norm() < 2e-7, "{x}: {v} is not {wanted}");
     }
     assert_eq!(otf.value(DVec2::X * (1.01 * cutoff)), Complex64::ZERO);
     assert_eq!(otf.value(DVec2::NAN), Complex64::ZERO);
@@ -71,22 +56,11 @@ fn modulation_figures_of_the_reference() {
         eye.fovea().um_from_point(chief.landing().unwrap())
     };
     let um_per_deg = (landing(5.5) - landing(4.5)).length();
-    let options = WavefrontOptions {
-        amplitude: Amplitude::Uniform,
-        ..WavefrontOptions::default()
-    };
+    let options = WavefrontOptions { amplitude: Amplitude::Uniform, ..WavefrontOptions::default() };
     let w = wavefront(3.0, 5.0, 0.0, 543.0, &options);
     let otf = Otf::new(&w);
-    for (cycles, wanted) in [
-        (10.0, 0.838),
-        (20.0, 0.691),
-        (30.0, 0.565),
-        (40.0, 0.447),
-        (60.0, 0.227),
-    ] {
-        let v = otf
-            .value(DVec2::from_angle(w.meridional_angle) * (cycles / um_per_deg))
-            .norm();
+    for (cycles, wanted) in [(10.0, 0.838), (20.0, 0.691), (30.0, 0.565), (40.0, 0.447), (60.0, 0.227)] {
+        let v = otf.value(DVec2::from_angle(w.meridional_angle) * (cycles / um_per_deg)).norm();
         println!("{cycles} c/deg: {v:.4} (reference {wanted})");
         // The figures come from a point spread in a finite window; the transform over ±400 µm agrees with the
         // autocorrelation to 2e-7 (below), the figures to 3e-3.
@@ -97,9 +71,7 @@ fn modulation_figures_of_the_reference() {
 #[test]
 fn symmetry_and_throughput() {
     let options = WavefrontOptions {
-        stiles_crawford: Some(StilesCrawfordApodization {
-            rho_base10_per_mm2: 0.05,
-        }),
+        stiles_crawford: Some(StilesCrawfordApodization { rho_base10_per_mm2: 0.05 }),
         ..WavefrontOptions::default()
     };
     let w = wavefront(5.0, 10.0, 0.2, 480.0, &options);
@@ -109,11 +81,7 @@ fn symmetry_and_throughput() {
     let small = otf.value(DVec2::new(1e-9, 1e-9)).re - w.throughput();
     println!("{small:e}");
     assert!(small.abs() < 1e-7);
-    for nu in [
-        DVec2::new(0.03, 0.02),
-        DVec2::new(-0.1, 0.15),
-        DVec2::new(0.0, 0.05),
-    ] {
+    for nu in [DVec2::new(0.03, 0.02), DVec2::new(-0.1, 0.15), DVec2::new(0.0, 0.05)] {
         let error = (otf.value(nu) - otf.value(-nu).conj()).norm();
         assert!(error < 1e-7, "{nu}: {error}");
         assert!(otf.value(nu).norm() <= w.throughput());
@@ -147,17 +115,12 @@ fn transform(w: &Wavefront, half_width_um: f64, samples: usize, nus: &[DVec2]) -
 #[test]
 fn transfer_is_the_transform_of_the_point_spread() {
     // The window's truncated tail is all that is left: it falls with the window.
-    for (pupil, field, vergence, nm) in [
-        (3.0, 5.0, 0.0, 543.0),
-        (3.0, 10.0, 0.0, 450.0),
-        (4.0, 25.0, -0.5, 600.0),
-    ] {
+    for (pupil, field, vergence, nm) in
+        [(3.0, 5.0, 0.0, 543.0), (3.0, 10.0, 0.0, 450.0), (4.0, 25.0, -0.5, 600.0)]
+    {
         for options in [
             WavefrontOptions::default(),
-            WavefrontOptions {
-                amplitude: Amplitude::Uniform,
-                ..WavefrontOptions::default()
-            },
+            WavefrontOptions { amplitude: Amplitude::Uniform, ..WavefrontOptions::default() },
         ] {
             let w = wavefront(pupil, field, vergence, nm, &options);
             let otf = Otf::new(&w);
@@ -170,11 +133,8 @@ fn transfer_is_the_transform_of_the_point_spread() {
             let mut last = f64::MAX;
             for (half, samples) in [(100.0, 256), (400.0, 1024)] {
                 let sums = transform(&w, half, samples, &nus);
-                let error = nus
-                    .iter()
-                    .zip(&sums)
-                    .map(|(nu, s)| (otf.value(*nu) - s).norm())
-                    .fold(0.0, f64::max);
+                let error =
+                    nus.iter().zip(&sums).map(|(nu, s)| (otf.value(*nu) - s).norm()).fold(0.0, f64::max);
                 println!("{pupil} mm {field}° {nm} nm, window ±{half}: {error:.1e}");
                 assert!(error < last);
                 last = error;
@@ -214,14 +174,8 @@ fn extremes_stay_finite() {
     for (pupil, vergence, nm) in [(0.5, 20.0, 390.0), (9.0, -20.0, 390.0), (9.0, 20.0, 830.0)] {
         let otf = Otf::new(&wavefront(pupil, 5.0, vergence, nm, &WavefrontOptions::default()));
         let cutoff = otf.cutoff(0.3);
-        for v in otf.radial(
-            0.3,
-            &[0.0, 1e-12, 0.01 * cutoff, 0.5 * cutoff, cutoff, 2.0 * cutoff],
-        ) {
-            assert!(
-                v.re.is_finite() && v.im.is_finite() && v.norm() <= 1.0 + 1e-6,
-                "{v}"
-            );
+        for v in otf.radial(0.3, &[0.0, 1e-12, 0.01 * cutoff, 0.5 * cutoff, cutoff, 2.0 * cutoff]) {
+            assert!(v.re.is_finite() && v.im.is_finite() && v.norm() <= 1.0 + 1e-6, "{v}");
         }
     }
 }
@@ -231,32 +185,17 @@ fn left_eye_is_the_mirror_image_of_the_right() {
     let p = Prescription::preset("escudero-sanz-navarro").unwrap();
     let make = |side, x: f64| {
         let dispersion = Dispersion::Herzberger;
-        let state = EyeState {
-            pupil_mm: 4.0,
-            decentre_mm: 0.4,
-            accommodation_a: 0.1,
-            dispersion,
-            side,
-        };
+        let state = EyeState { pupil_mm: 4.0, decentre_mm: 0.4, accommodation_a: 0.1, dispersion, side };
         let eye = SchematicEye::new(&p, &state).unwrap();
         let object = Object::at_infinity(DVec3::new(x, 0.2, 1.0)).unwrap();
         Wavefront::new(&eye, object, 610.0, &WavefrontOptions::default()).unwrap()
     };
     // Superior is −x in the right eye and +x in the left.
     let (right, left) = (make(Side::Right, 0.15), make(Side::Left, -0.15));
-    assert!(
-        (right.landing_um - left.landing_um).length() < 1e-8,
-        "{} {}",
-        right.landing_um,
-        left.landing_um
-    );
+    assert!((right.landing_um - left.landing_um).length() < 1e-8, "{} {}", right.landing_um, left.landing_um);
     assert!(right.landing_um.length() > 1000.0);
     let (a, b) = (Otf::new(&right), Otf::new(&left));
     for nu in [DVec2::new(0.05, 0.02), DVec2::new(-0.03, 0.1)] {
-        assert!(
-            (a.value(nu) - b.value(nu)).norm() < 1e-6 && a.value(nu).im.abs() > 1e-3,
-            "{}",
-            a.value(nu)
-        );
+        assert!((a.value(nu) - b.value(nu)).norm() < 1e-6 && a.value(nu).im.abs() > 1e-3, "{}", a.value(nu));
     }
 }

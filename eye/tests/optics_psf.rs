@@ -83,13 +83,7 @@ const UNIFORM: WavefrontOptions = WavefrontOptions {
 fn eye(pupil_mm: f64, decentre_mm: f64) -> SchematicEye {
     let p = Prescription::preset("escudero-sanz-navarro").unwrap();
     let dispersion = Dispersion::Polyline;
-    let state = EyeState {
-        pupil_mm,
-        decentre_mm,
-        accommodation_a: 0.0,
-        dispersion,
-        side: Side::Right,
-    };
+    let state = EyeState { pupil_mm, decentre_mm, accommodation_a: 0.0, dispersion, side: Side::Right };
     SchematicEye::new(&p, &state).unwrap()
 }
 
@@ -103,19 +97,14 @@ fn difference(a: &[f64], b: &[f64]) -> f64 {
 }
 
 fn every_second_column(a: &[f64]) -> Vec<f64> {
-    a.chunks_exact(128)
-        .flat_map(|row| row.iter().step_by(2).copied())
-        .collect()
+    a.chunks_exact(128).flat_map(|row| row.iter().step_by(2).copied()).collect()
 }
 
 #[test]
 fn four_reference_point_spreads() {
     for case in &CASES {
-        let reference: Vec<f64> = case
-            .file
-            .chunks_exact(4)
-            .map(|b| f64::from(f32::from_le_bytes(b.try_into().unwrap())))
-            .collect();
+        let reference: Vec<f64> =
+            case.file.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes(b.try_into().unwrap()))).collect();
         let peak = largest(&reference);
         let eye = eye(case.pupil_mm, case.decentre_mm);
         let object = Object::field(case.field_deg, case.vergence_d).unwrap();
@@ -137,14 +126,8 @@ fn four_reference_point_spreads() {
         let exact = sum(&nodes(true));
         let huygens_error = difference(&every_second_column(&exact), &reference) / peak;
         // Polynomials of degree 10 for the tight comparison: at 8 the aberrated case has 1.4e-6 of a low peak.
-        let finer = WavefrontOptions {
-            degree: Some(10),
-            ..UNIFORM
-        };
-        let fine = psf(
-            &Wavefront::new(&eye, object, case.wavelength_nm, &finer).unwrap(),
-            &grid,
-        );
+        let finer = WavefrontOptions { degree: Some(10), ..UNIFORM };
+        let fine = psf(&Wavefront::new(&eye, object, case.wavelength_nm, &finer).unwrap(), &grid);
         let linear = difference(&sum(&nodes(false)), &fine) / peak;
         let strehl = w.strehl();
         let energy = fast.iter().sum::<f64>() * w.density_per_um2() * grid.pitch_um().powi(2);
@@ -169,13 +152,8 @@ fn four_reference_point_spreads() {
 fn more_nodes_change_nothing() {
     for case in &CASES {
         let object = Object::field(case.field_deg, case.vergence_d).unwrap();
-        let w = Wavefront::new(
-            &eye(case.pupil_mm, case.decentre_mm),
-            object,
-            case.wavelength_nm,
-            &UNIFORM,
-        )
-        .unwrap();
+        let w = Wavefront::new(&eye(case.pupil_mm, case.decentre_mm), object, case.wavelength_nm, &UNIFORM)
+            .unwrap();
         let mut grid = PsfGrid::new(65, case.half_width_um);
         let usual = psf(&w, &grid);
         grid.nodes = Some(160);
@@ -189,35 +167,22 @@ fn flux_amplitude_and_apodization_agree_with_huygens() {
     let eye = eye(6.0, 0.4);
     let object = Object::field(20.0, 0.3).unwrap();
     let options = WavefrontOptions {
-        stiles_crawford: Some(StilesCrawfordApodization {
-            rho_base10_per_mm2: 0.05,
-        }),
+        stiles_crawford: Some(StilesCrawfordApodization { rho_base10_per_mm2: 0.05 }),
         degree: Some(14),
         ..WavefrontOptions::default()
     };
     let w = Wavefront::new(&eye, object, 590.0, &options).unwrap();
     let mut grid = PsfGrid::new(32, 20.0);
     grid.centre_um = DVec2::new(-8.0, 5.0);
-    let nodes = HuygensOptions {
-        radial: 80,
-        azimuth: 320,
-        exact_distance: false,
-    };
+    let nodes = HuygensOptions { radial: 80, azimuth: 320, exact_distance: false };
     let slow = huygens::psf(&eye, object, 590.0, &options, &nodes, &grid).unwrap();
     let error = difference(&psf(&w, &grid), &slow) / largest(&slow);
-    println!(
-        "6 mm, 20°, Stiles-Crawford: matrix - Huygens {error:.1e}, throughput {:.4}",
-        w.throughput()
-    );
+    println!("6 mm, 20°, Stiles-Crawford: matrix - Huygens {error:.1e}, throughput {:.4}", w.throughput());
     assert!(error < 1e-5);
     // Mean of 10^(−0.05 r²) over a disc of radius 3 mm, if the pupil were seen face on.
     let a = 0.05 * 10.0_f64.ln();
     let face_on = (1.0 - (-9.0 * a).exp()) / (9.0 * a);
-    assert!(
-        (w.throughput() - face_on).abs() < 0.03,
-        "{} against {face_on}",
-        w.throughput()
-    );
+    assert!((w.throughput() - face_on).abs() < 0.03, "{} against {face_on}", w.throughput());
 }
 
 #[test]
@@ -247,19 +212,11 @@ fn bessel_j1(v: f64) -> f64 {
 
 #[test]
 fn pupil_area_and_paths() {
-    let w = Wavefront::new(
-        &eye(3.0, 0.4),
-        Object::field(5.0, 0.0).unwrap(),
-        543.0,
-        &WavefrontOptions::default(),
-    )
-    .unwrap();
+    let w =
+        Wavefront::new(&eye(3.0, 0.4), Object::field(5.0, 0.0).unwrap(), 543.0, &WavefrontOptions::default())
+            .unwrap();
     let area = std::f64::consts::PI * 1.5 * 1.5;
-    assert!(
-        (w.pupil_area_mm2 / area - 1.0).abs() < 0.02,
-        "{}",
-        w.pupil_area_mm2
-    );
+    assert!((w.pupil_area_mm2 / area - 1.0).abs() < 0.02, "{}", w.pupil_area_mm2);
     let axial = Wavefront::new(&eye(0.5, 0.0), Object::field(0.0, 0.0).unwrap(), 543.0, &UNIFORM).unwrap();
     assert!(
         (axial.pupil_area_mm2 / (std::f64::consts::PI / 16.0) - 1.0).abs() < 1e-3,
@@ -268,10 +225,7 @@ fn pupil_area_and_paths() {
     );
     assert!((w.path_cornea - 1.0).abs() < 0.03 && (w.path_lens - 1.0).abs() < 0.05);
     assert!(w.landing_um.length() < 1e-6);
-    println!(
-        "pupil {:.4} mm² of {area:.4}, paths {:.4} {:.4}",
-        w.pupil_area_mm2, w.path_cornea, w.path_lens
-    );
+    println!("pupil {:.4} mm² of {area:.4}, paths {:.4} {:.4}", w.pupil_area_mm2, w.path_cornea, w.path_lens);
 }
 
 #[test]
@@ -293,13 +247,7 @@ fn extremes_stay_finite() {
     let (mut made, mut refused) = (0, 0);
     for (pupil_mm, side) in [(0.5, Side::Left), (9.0, Side::Right)] {
         let (accommodation_a, dispersion) = (0.0, Dispersion::Herzberger);
-        let state = EyeState {
-            pupil_mm,
-            decentre_mm: 0.4,
-            accommodation_a,
-            dispersion,
-            side,
-        };
+        let state = EyeState { pupil_mm, decentre_mm: 0.4, accommodation_a, dispersion, side };
         let eye = SchematicEye::new(&p, &state).unwrap();
         for vergence in [-20.0, 0.0, 20.0] {
             for field in [-100.0, 0.0, 60.0, 90.0, 105.0] {

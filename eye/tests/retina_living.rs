@@ -9,10 +9,7 @@ use photoneye_eye::rng::{Purpose, Stream};
 /// The places alone, moved by 0.45 µm along each axis, with one cone in 25 missing.
 fn as_imaged(retina: &Retina) -> Retina {
     let mut s = Stream::new(3, Purpose::Study, 0, 0);
-    let mut seen = Cones {
-        polygon_start: vec![0],
-        ..Cones::default()
-    };
+    let mut seen = Cones { polygon_start: vec![0], ..Cones::default() };
     for i in 0..retina.len() {
         let (u, v) = s.normal_pair();
         if s.uniform() < 0.04 {
@@ -27,10 +24,7 @@ fn as_imaged(retina: &Retina) -> Retina {
         seen.pointing.push([0.0; 2]);
         seen.polygon_start.push(0);
     }
-    Retina {
-        cones: seen,
-        ..retina.clone()
-    }
+    Retina { cones: seen, ..retina.clone() }
 }
 
 #[test]

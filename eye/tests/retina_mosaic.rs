@@ -12,25 +12,15 @@ use photoneye_eye::retina::{
 use photoneye_eye::rng::{Purpose, Stream};
 
 fn square(x: f64, y: f64, half: f64) -> RegionUm {
-    RegionUm {
-        min: DVec2::new(x - half, y - half),
-        max: DVec2::new(x + half, y + half),
-    }
+    RegionUm { min: DVec2::new(x - half, y - half), max: DVec2::new(x + half, y + half) }
 }
 
 fn made_tiles(p: &RetinaParams, region: &RegionUm) -> Vec<RetinaTile> {
-    tiles_for(region)
-        .into_iter()
-        .map(|t| build_tile(p, t).unwrap())
-        .collect()
+    tiles_for(region).into_iter().map(|t| build_tile(p, t).unwrap()).collect()
 }
 
 fn on_threads<T: Send>(n: usize, work: impl FnOnce() -> T + Send) -> T {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(n)
-        .build()
-        .unwrap()
-        .install(work)
+    rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(work)
 }
 
 #[test]
@@ -59,15 +49,9 @@ fn same_bytes_for_any_threads_order_and_parts() {
 #[test]
 fn seams_are_exact() {
     let p = RetinaParams::default();
-    for (at, count) in [
-        (DVec2::ZERO, 4),
-        (DVec2::new(-1_024.0, 1_024.0), 4),
-        (DVec2::new(2_048.0, 512.0), 2),
-    ] {
-        let region = RegionUm {
-            min: at - DVec2::splat(60.0),
-            max: at + DVec2::splat(60.0),
-        };
+    for (at, count) in [(DVec2::ZERO, 4), (DVec2::new(-1_024.0, 1_024.0), 4), (DVec2::new(2_048.0, 512.0), 2)]
+    {
+        let region = RegionUm { min: at - DVec2::splat(60.0), max: at + DVec2::splat(60.0) };
         let tiles = made_tiles(&p, &region);
         assert_eq!(tiles.len(), count);
         let retina = Retina::assemble(&tiles, &region);
@@ -103,11 +87,7 @@ fn corners_are_shared_and_areas_add_up() {
     let (mut shared, mut alone) = (0, 0);
     for ((x, y), n) in owners {
         if inner.contains(DVec2::new(f64::from_bits(x), f64::from_bits(y))) {
-            (shared, alone) = if n >= 3 {
-                (shared + 1, alone)
-            } else {
-                (shared, alone + 1)
-            };
+            (shared, alone) = if n >= 3 { (shared + 1, alone) } else { (shared, alone + 1) };
         }
     }
     assert!(shared > 2_000);
@@ -117,11 +97,7 @@ fn corners_are_shared_and_areas_add_up() {
 
 #[test]
 fn polygons_are_convex_and_hold_their_centre() {
-    for region in [
-        square(0.0, 0.0, 150.0),
-        square(600.0, 0.0, 200.0),
-        square(0.0, -9_000.0, 500.0),
-    ] {
+    for region in [square(0.0, 0.0, 150.0), square(600.0, 0.0, 200.0), square(0.0, -9_000.0, 500.0)] {
         let retina = build_region(&RetinaParams::default(), &region).unwrap();
         assert_eq!(retina.counts.concave, 0);
         for i in 0..retina.len() {
@@ -181,10 +157,7 @@ fn every_point_has_at_most_one_owner() {
 fn density_types_and_order_meet_their_targets() {
     let region = square(0.0, 0.0, 900.0);
     for seed in [1, 0, u64::MAX] {
-        let p = RetinaParams {
-            seed,
-            ..RetinaParams::default()
-        };
+        let p = RetinaParams { seed, ..RetinaParams::default() };
         let retina = build_region(&p, &region).unwrap();
         let s = statistics(&retina);
         for b in &s.bands {
@@ -199,10 +172,7 @@ fn density_types_and_order_meet_their_targets() {
             );
             let lm = (b.types[0] + b.types[1]) as f64;
             let l = 0.62 / 0.92;
-            assert!(
-                (b.types[0] as f64 - l * lm).abs() < 4.5 * (lm * l * (1.0 - l)).sqrt(),
-                "{b:?}"
-            );
+            assert!((b.types[0] as f64 - l * lm).abs() < 4.5 * (lm * l * (1.0 - l)).sqrt(), "{b:?}");
             if b.from_deg >= 1.0 && b.interior > 1_000 {
                 assert!((0.48..0.68).contains(&b.six_share), "{b:?}");
                 assert!((0.48..0.66).contains(&b.psi6), "{b:?}");
@@ -218,24 +188,15 @@ fn density_types_and_order_meet_their_targets() {
 fn s_cones_keep_apart() {
     let region = square(700.0, 0.0, 200.0);
     let retina = build_region(&RetinaParams::default(), &region).unwrap();
-    let s: Vec<DVec2> = (0..retina.len())
-        .filter(|&i| retina.cone_type[i] == ConeType::S)
-        .map(|i| retina.center(i))
-        .collect();
+    let s: Vec<DVec2> =
+        (0..retina.len()).filter(|&i| retina.cone_type[i] == ConeType::S).map(|i| retina.center(i)).collect();
     let density = s.len() as f64 / 160_000.0;
     let core = 0.5 / density.sqrt();
-    let nearest = |p: DVec2| {
-        s.iter()
-            .map(|q| (*q - p).length())
-            .filter(|d| *d > 0.0)
-            .fold(f64::MAX, f64::min)
-    };
+    let nearest =
+        |p: DVec2| s.iter().map(|q| (*q - p).length()).filter(|d| *d > 0.0).fold(f64::MAX, f64::min);
     // The core follows the local density, so the mean one is a little off.
     assert!(s.iter().all(|p| nearest(*p) > 0.8 * core));
-    let free = RetinaParams {
-        s_repulsion: 0.0,
-        ..RetinaParams::default()
-    };
+    let free = RetinaParams { s_repulsion: 0.0, ..RetinaParams::default() };
     let free = build_region(&free, &region).unwrap();
     let count = free.cone_type.iter().filter(|t| **t == ConeType::S).count() as f64;
     assert!((count / s.len() as f64 - 1.0).abs() < 0.3);
@@ -248,16 +209,9 @@ fn stored_form_round_trips_and_damage_is_an_error() {
     let retina = build_region(&p, &region).unwrap();
     let bytes = retina.to_bytes();
     assert_eq!(Retina::from_bytes(&bytes).unwrap(), retina);
-    let tile = RetinaTile {
-        tile: TileId { i: -3, j: 7 },
-        params: p,
-        cones: retina.cones.clone(),
-    };
+    let tile = RetinaTile { tile: TileId { i: -3, j: 7 }, params: p, cones: retina.cones.clone() };
     assert_eq!(RetinaTile::from_bytes(&tile.to_bytes()).unwrap(), tile);
-    assert!(matches!(
-        RetinaTile::from_bytes(&bytes),
-        Err(RetinaError::Bytes(_))
-    ));
+    assert!(matches!(RetinaTile::from_bytes(&bytes), Err(RetinaError::Bytes(_))));
     for cut in (0..200).chain((200..bytes.len()).step_by(97)) {
         assert!(Retina::from_bytes(&bytes[..cut]).is_err());
     }
@@ -282,10 +236,7 @@ fn stored_form_round_trips_and_damage_is_an_error() {
 #[test]
 fn extremes_hold() {
     // One cone.
-    let p = RetinaParams {
-        seed: u64::MAX,
-        ..RetinaParams::default()
-    };
+    let p = RetinaParams { seed: u64::MAX, ..RetinaParams::default() };
     let few = build_region(&p, &square(3.0, 4.0, 1.5)).unwrap();
     assert!((1..=4).contains(&few.len()));
     assert_eq!(statistics(&few).all.cones as usize, few.len());
@@ -293,39 +244,21 @@ fn extremes_hold() {
     assert!(build_region(&p, &square(f64::NAN, 0.0, 1.0)).unwrap().is_empty());
     // The ends of the density range, only S cones that are allowed, none at all, no pointing error.
     for (peak, ratio) in [(98_200.0, [0.5, 0.0, 0.5]), (324_100.0, [1.0, 0.0, 0.0])] {
-        let p = RetinaParams {
-            peak_density_per_mm2: peak,
-            cone_ratio: ratio,
-            ..RetinaParams::default()
-        };
+        let p = RetinaParams { peak_density_per_mm2: peak, cone_ratio: ratio, ..RetinaParams::default() };
         let retina = build_region(&p, &square(0.0, 0.0, 120.0)).unwrap();
         let all = statistics(&retina).all;
         assert!((all.density_ratio() - 1.0).abs() < 0.02, "{all:?}");
         assert!(retina.polygon_xy.iter().all(|v| v.is_finite()));
     }
-    let nonsense = RetinaParams {
-        peak_density_per_mm2: 1e9,
-        ..RetinaParams::default()
-    };
-    assert!(matches!(
-        build_region(&nonsense, &square(0.0, 0.0, 5.0)),
-        Err(RetinaError::Parameter { .. })
-    ));
+    let nonsense = RetinaParams { peak_density_per_mm2: 1e9, ..RetinaParams::default() };
+    assert!(matches!(build_region(&nonsense, &square(0.0, 0.0, 5.0)), Err(RetinaError::Parameter { .. })));
     // Near the ora, beyond it, and where no tile starts.
     let ora = 119.0_f64.to_radians() * 12_000.0;
     let edge = build_region(&p, &square(-ora, 0.0, 400.0)).unwrap();
     assert!(!edge.is_empty() && edge.cell_area_um2.iter().all(|a| a.is_finite() && *a > 0.0));
-    assert!(
-        edge.x_um
-            .iter()
-            .zip(&edge.y_um)
-            .all(|(x, y)| x.hypot(*y) <= 120.0_f64.to_radians() * 12_000.0)
-    );
+    assert!(edge.x_um.iter().zip(&edge.y_um).all(|(x, y)| x.hypot(*y) <= 120.0_f64.to_radians() * 12_000.0));
     assert!(build_tile(&p, TileId { i: 64, j: 0 }).unwrap().is_empty());
-    assert!(matches!(
-        build_tile(&p, TileId { i: 65, j: 0 }),
-        Err(RetinaError::NotATile { .. })
-    ));
+    assert!(matches!(build_tile(&p, TileId { i: 65, j: 0 }), Err(RetinaError::NotATile { .. })));
 }
 
 #[test]

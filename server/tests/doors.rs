@@ -226,7 +226,8 @@ async fn a_repeated_request_is_one_job() {
         .map(|byte| format!("%{byte:02X}"))
         .collect::<Vec<_>>()
         .concat();
-    let body = format!("spec={encoded}");
+    // Longer than any address line may be.
+    let body = format!("spec={encoded}{}", "+".repeat(200_000));
     let sent = http(server.local_addr(), "POST", "/v1/jobs", &form, body.as_bytes()).await;
     assert_eq!(sent.status, 201, "{}", sent.text());
     let id = sent.json()["id"].as_str().unwrap().to_owned();
@@ -377,5 +378,20 @@ async fn cones_and_pictures_come_from_the_retina() {
         streamed.extend_from_slice(piece.bytes());
     }
     assert_eq!(streamed, file.body);
+    let picture = get(address, &format!("/v1/jobs/{id}/frames/2.png?side=64")).await;
+    assert_eq!(picture.status, 200, "{}", picture.text());
+    let size =
+        photoneye_eye::video::png_size(&picture.body, photoneye_eye::video::Limits::default()).unwrap();
+    assert_eq!(size.0.max(size.1), 64);
+    assert_eq!(
+        get(address, &format!("/v1/jobs/{id}/frames/3.png")).await.status,
+        404
+    );
+    assert_eq!(
+        get(address, &format!("/v1/jobs/{id}/frames/0.png?side=0"))
+            .await
+            .status,
+        400
+    );
     server.shutdown().await;
 }

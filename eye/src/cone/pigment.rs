@@ -22,9 +22,7 @@ impl Pigments {
     /// When the embedded table cannot be read.
     pub fn new() -> Result<Self, String> {
         let table = Table::load("cone-absorbance")?;
-        Ok(Self {
-            log_absorbance: [table.spline("l")?, table.spline("m")?, table.spline("s")?],
-        })
+        Ok(Self { log_absorbance: [table.spline("l")?, table.spline("m")?, table.spline("s")?] })
     }
 
     /// Absorbance, peak 1.

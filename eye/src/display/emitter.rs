@@ -43,11 +43,8 @@ impl Emitter {
 /// Shares of the photons of each spectrum by wavelength (nm, share); the shares of one spectrum sum to 1.
 pub fn photon_shares(spectra: &[Spectrum]) -> Vec<Vec<(f64, f64)>> {
     let shares = |spectrum: &Spectrum| {
-        let photons: Vec<_> = spectrum
-            .samples()
-            .iter()
-            .map(|s| (s.nm, s.power * photons_per_joule(s.nm)))
-            .collect();
+        let photons: Vec<_> =
+            spectrum.samples().iter().map(|s| (s.nm, s.power * photons_per_joule(s.nm))).collect();
         let total: f64 = photons.iter().map(|p| p.1).sum();
         photons.into_iter().map(|(nm, n)| (nm, n / total)).collect()
     };
@@ -57,11 +54,7 @@ pub fn photon_shares(spectra: &[Spectrum]) -> Vec<Vec<(f64, f64)>> {
 /// Share of a pixel's photons that meets the entrance pupil on axis.
 pub fn pupil_share(display: &Display, pupil_mm: f64) -> f64 {
     let distance_cm = display.distance_cm + ENTRANCE_PUPIL_CM;
-    pupil_share_at(
-        display.emission_law,
-        std::f64::consts::FRAC_PI_4 * (pupil_mm / 10.0).powi(2),
-        distance_cm,
-    )
+    pupil_share_at(display.emission_law, std::f64::consts::FRAC_PI_4 * (pupil_mm / 10.0).powi(2), distance_cm)
 }
 
 /// Share of the photons of a source that meets an area (cm²) at a distance (cm) on axis.
@@ -87,20 +80,13 @@ pub fn emitters(display: &Display) -> Result<Vec<Emitter>, String> {
     if lumens_of_white <= 0.0 && pixel_lumens > 0.0 {
         return Err("display.primaries: they emit nothing that the luminous efficiency weighs, so no luminance can be reached".into());
     }
-    let scale = if pixel_lumens > 0.0 {
-        pixel_lumens / lumens_of_white
-    } else {
-        0.0
-    };
+    let scale = if pixel_lumens > 0.0 { pixel_lumens / lumens_of_white } else { 0.0 };
     let seconds = 1.0 / display.frame_rate_hz;
     let lower = |(primary, samples): (&super::Primary, &Vec<crate::spectrum::Sample>)| {
         let watts = scale * primary.power;
         let photons = samples
             .iter()
-            .map(|s| PhotonSample {
-                nm: s.nm,
-                emitted: watts * s.power * seconds * photons_per_joule(s.nm),
-            })
+            .map(|s| PhotonSample { nm: s.nm, emitted: watts * s.power * seconds * photons_per_joule(s.nm) })
             .collect();
         let area: f64 = primary.rects.iter().map(|r| (r[2] - r[0]) * (r[3] - r[1])).sum();
         let [dx, dy] = primary.offset_px;
@@ -109,12 +95,7 @@ pub fn emitters(display: &Display) -> Result<Vec<Emitter>, String> {
             .iter()
             .map(|[x0, y0, x1, y1]| ([x0 + dx, y0 + dy, x1 + dx, y1 + dy], (x1 - x0) * (y1 - y0) / area))
             .collect();
-        Emitter {
-            channel: primary.channel,
-            photons,
-            rects,
-            lit: primary.lit,
-        }
+        Emitter { channel: primary.channel, photons, rects, lit: primary.lit }
     };
     Ok(display.primaries.iter().zip(&spectra).map(lower).collect())
 }

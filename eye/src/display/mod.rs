@@ -142,11 +142,7 @@ impl Display {
         }
         check_range("display.frame_rate_hz", self.frame_rate_hz, 0.01, 1e6)?;
         if self.primaries.is_empty() || self.primaries.len() > 8 {
-            return Err(RangeError::new(
-                "display.primaries",
-                self.primaries.len(),
-                "1 to 8 primaries",
-            ));
+            return Err(RangeError::new("display.primaries", self.primaries.len(), "1 to 8 primaries"));
         }
         for (k, primary) in self.primaries.iter().enumerate() {
             primary.validate(&format!("display.primaries[{k}]"))?;
@@ -164,11 +160,7 @@ impl Primary {
     fn validate(&self, path: &str) -> Result<(), RangeError> {
         check_range(&format!("{path}.power"), self.power, 0.0, 1e9)?;
         if self.rects.is_empty() || self.rects.len() > 16 {
-            return Err(RangeError::new(
-                &format!("{path}.rects"),
-                self.rects.len(),
-                "1 to 16 rectangles",
-            ));
+            return Err(RangeError::new(&format!("{path}.rects"), self.rects.len(), "1 to 16 rectangles"));
         }
         for (i, [x0, y0, x1, y1]) in self.rects.iter().copied().enumerate() {
             check_range(&format!("{path}.rects[{i}].x0"), x0, 0.0, 1.0)?;
@@ -179,12 +171,7 @@ impl Primary {
         check_range(&format!("{path}.offset_px.x"), self.offset_px[0], -10.0, 10.0)?;
         check_range(&format!("{path}.offset_px.y"), self.offset_px[1], -10.0, 10.0)?;
         check_range(&format!("{path}.waveform.pulse.start"), self.lit[0], 0.0, 1.0)?;
-        check_range(
-            &format!("{path}.waveform.pulse.end"),
-            self.lit[1],
-            self.lit[0] + 1e-6,
-            1.0,
-        )?;
+        check_range(&format!("{path}.waveform.pulse.end"), self.lit[1], self.lit[0] + 1e-6, 1.0)?;
         self.spectrum.validate(&format!("{path}.spectrum"))
     }
 }

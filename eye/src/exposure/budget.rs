@@ -7,10 +7,9 @@ use glam::DVec2;
 
 use super::cones::{ConeTable, slant_factor};
 use super::expected::Means;
-use super::kernel::Kernels;
+use super::inputs::Inputs;
 use super::source::{Projector, relative_light};
 use crate::media::MACULA_EDGE_DEG;
-use crate::optics::Projection;
 use crate::report::PhotonBudget;
 use crate::video::Picture;
 
@@ -41,12 +40,8 @@ impl Ledger {
     ///
     /// # Errors
     /// When the embedded tables cannot be read.
-    pub fn new(
-        projector: &Projector,
-        kernels: &Kernels,
-        projection: &Projection,
-        centre_px: [f64; 2],
-    ) -> Result<Self, String> {
+    pub fn new(inputs: &Inputs, centre_px: [f64; 2]) -> Result<Self, String> {
+        let Inputs { kernels, projection, projector, .. } = inputs;
         let absorbers = kernels.spec().absorbers()?;
         let paths = kernels.paths();
         let media = &absorbers.media;
@@ -81,11 +76,7 @@ impl Ledger {
                 pixels.push((slant, tangent.length().atan().to_degrees()));
             }
         }
-        Ok(Self {
-            shares,
-            throughput: kernels.throughput(),
-            pixels,
-        })
+        Ok(Self { shares, throughput: kernels.throughput(), pixels })
     }
 
     /// The budget of one frame.

@@ -4,9 +4,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::bounds;
-use super::kernel::Kernels;
-use super::scene::Scene;
-use crate::cone::directional::Pointing;
+use super::inputs::Inputs;
 use crate::display::EmissionLaw;
 use crate::experiment::Experiment;
 use crate::optics::{Projection, projection::visual_deg_from_tangent};
@@ -83,9 +81,7 @@ pub fn cone_columns(experiment: &Experiment, retina: &Retina) -> Result<ConeColu
         columns.x_deg.push(visual.x);
         columns.y_deg.push(visual.y);
         columns.ecc_deg.push(visual.length());
-        columns
-            .meridian_deg
-            .push(at.y.atan2(at.x).to_degrees().rem_euclid(360.0));
+        columns.meridian_deg.push(at.y.atan2(at.x).to_degrees().rem_euclid(360.0));
         for corner in retina.polygon(i) {
             columns.polygon_xy.extend([corner.x as f32, corner.y as f32]);
         }
@@ -118,22 +114,14 @@ impl ConeTable {
     ///
     /// # Errors
     /// When a part of the patch does not see the screen.
-    pub fn new(
-        retina: &Retina,
-        projection: &Projection,
-        scene: &Scene,
-        kernels: &Kernels,
-        law: EmissionLaw,
-        pointing: &Pointing,
-    ) -> Result<Self, String> {
+    pub fn new(inputs: &Inputs, law: EmissionLaw) -> Result<Self, String> {
+        let Inputs { retina, kernels, projection, scene, pointing, .. } = inputs;
         if retina.is_empty() {
             return Ok(Self { cones: Vec::new() });
         }
         let (min, max) = bounds((0..retina.len()).flat_map(|i| retina.polygon(i)));
         let [node_min, node_max] = kernels.spec().field_um;
-        let fit = projection
-            .fit(min.min(node_min), max.max(node_max))
-            .map_err(|e| e.to_string())?;
+        let fit = projection.fit(min.min(node_min), max.max(node_max)).map_err(|e| e.to_string())?;
         let cones = (0..retina.len())
             .into_par_iter()
             .map(|i| {
@@ -141,10 +129,7 @@ impl ConeTable {
                 let tangent = fit.screen_tangent(um);
                 let [px, py] = retina.pointing[i];
                 MappedCone {
-                    polygon_px: retina
-                        .polygon(i)
-                        .map(|c| scene.window_px(fit.screen_tangent(c)))
-                        .collect(),
+                    polygon_px: retina.polygon(i).map(|c| scene.window_px(fit.screen_tangent(c))).collect(),
                     um,
                     ecc_deg: tangent.length().atan().to_degrees(),
                     cone_type: retina.cone_type[i],

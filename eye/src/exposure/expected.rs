@@ -71,10 +71,8 @@ impl Expected {
             .par_iter()
             .map(|cone| {
                 // Positions in samples, areas in pixels.
-                let nodes: Vec<_> = polygon_nodes(&cone.polygon_px)
-                    .into_iter()
-                    .map(|(p, w)| (p * per_px, w))
-                    .collect();
+                let nodes: Vec<_> =
+                    polygon_nodes(&cone.polygon_px).into_iter().map(|(p, w)| (p * per_px, w)).collect();
                 spread.weights(&nodes, scene.samples)
             })
             .collect();
@@ -84,18 +82,10 @@ impl Expected {
             .map(|w| {
                 let offset = weights.len();
                 weights.extend(w.values);
-                Stencil {
-                    first: w.first,
-                    size: w.size,
-                    offset,
-                }
+                Stencil { first: w.first, size: w.size, offset }
             })
             .collect();
-        let coefficients = cones
-            .cones
-            .par_iter()
-            .map(|cone| coefficients_of(kernels, cone))
-            .collect();
+        let coefficients = cones.cones.par_iter().map(|cone| coefficients_of(kernels, cone)).collect();
         Self {
             scene,
             frequencies,
@@ -104,34 +94,21 @@ impl Expected {
             stencils,
             weights,
             coefficients,
-            factors: cones
-                .cones
-                .iter()
-                .map(|c| [c.geometry * c.pointing, c.geometry])
-                .collect(),
+            factors: cones.cones.iter().map(|c| [c.geometry * c.pointing, c.geometry]).collect(),
             kinds: cones.cones.iter().map(|c| c.cone_type as usize).collect(),
         }
-    }
-
-    /// The window and grid.
-    pub fn scene(&self) -> &Scene {
-        &self.scene
     }
 
     /// Means of one frame of a source.
     pub fn frame(&self, source: &Source) -> Means {
         let drive = self.drive(source);
-        let pairs: Vec<[usize; 2]> = (0..self.images.len())
-            .step_by(2)
-            .map(|i| [i, (i + 1).min(self.images.len() - 1)])
-            .collect();
+        let pairs: Vec<[usize; 2]> =
+            (0..self.images.len()).step_by(2).map(|i| [i, (i + 1).min(self.images.len() - 1)]).collect();
         let grids: Vec<Vec<f32>> = pairs
             .par_iter()
             .map(|&[a, b]| {
-                let (first, second) = (
-                    self.coefficients_of_image(a, &drive),
-                    self.coefficients_of_image(b, &drive),
-                );
+                let (first, second) =
+                    (self.coefficients_of_image(a, &drive), self.coefficients_of_image(b, &drive));
                 two_images(&self.frequencies, &first, &second, self.scene.samples)
             })
             .collect::<Vec<_>>()
@@ -185,11 +162,7 @@ impl Expected {
                 let mut sums = [0.0; 2];
                 let mut used = 0;
                 for (slot, kind) in [self.kinds[cone], ARRIVING].into_iter().enumerate() {
-                    for (grid, _) in grids
-                        .iter()
-                        .zip(&self.images)
-                        .filter(|(_, image)| image.0 == kind)
-                    {
+                    for (grid, _) in grids.iter().zip(&self.images).filter(|(_, image)| image.0 == kind) {
                         sums[slot] += coefficients[used] * self.integral(cone, grid);
                         used += 1;
                     }
@@ -253,9 +226,7 @@ fn kept_frequencies(scene: &Scene) -> Vec<Frequency> {
 fn corrections(scene: &Scene, spread: &Spread, frequencies: &[Frequency]) -> Vec<f64> {
     let [px, py] = scene.period_px.map(|p| p as f64);
     let table = |samples: usize| -> Vec<f64> {
-        (0..=samples / 2)
-            .map(|n| spread.transform(n as f64 / samples as f64))
-            .collect()
+        (0..=samples / 2).map(|n| spread.transform(n as f64 / samples as f64)).collect()
     };
     let (along_x, along_y) = (table(scene.samples[0]), table(scene.samples[1]));
     frequencies
@@ -294,11 +265,7 @@ fn basis_images(
                 .map(|primary| {
                     let table = kernels.table(kind, r, primary);
                     let value = |s: &Option<_>| s.as_ref().map_or(Complex64::ZERO, |s| shape.read(table, s));
-                    stencils
-                        .iter()
-                        .map(value)
-                        .map(|z| Complex32::new(z.re as f32, z.im as f32))
-                        .collect()
+                    stencils.iter().map(value).map(|z| Complex32::new(z.re as f32, z.im as f32)).collect()
                 })
                 .collect();
             (kind, primaries)

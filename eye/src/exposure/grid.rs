@@ -63,14 +63,9 @@ pub fn two_images(
     }
     let mut values = transpose(&values, rows, columns);
     planner.plan_fft_inverse(columns).process(&mut values);
-    let pairs: Vec<Complex32> = values
-        .into_iter()
-        .map(|z| Complex32::new(z.re as f32, z.im as f32))
-        .collect();
-    [
-        pairs.iter().map(|z| z.re).collect(),
-        pairs.iter().map(|z| z.im).collect(),
-    ]
+    let pairs: Vec<Complex32> =
+        values.into_iter().map(|z| Complex32::new(z.re as f32, z.im as f32)).collect();
+    [pairs.iter().map(|z| z.re).collect(), pairs.iter().map(|z| z.im).collect()]
 }
 
 /// Transposes `[rows][columns]` in blocks that fit the cache.
@@ -95,16 +90,8 @@ mod tests {
 
     #[test]
     fn two_waves_come_back_separately() {
-        let frequencies = [
-            Frequency { x: 0, y: 0 },
-            Frequency { x: 2, y: 0 },
-            Frequency { x: -3, y: 1 },
-        ];
-        let first = [
-            Complex64::new(1.0, 0.0),
-            Complex64::new(0.25, 0.0),
-            Complex64::ZERO,
-        ];
+        let frequencies = [Frequency { x: 0, y: 0 }, Frequency { x: 2, y: 0 }, Frequency { x: -3, y: 1 }];
+        let first = [Complex64::new(1.0, 0.0), Complex64::new(0.25, 0.0), Complex64::ZERO];
         let second = [Complex64::ZERO, Complex64::ZERO, Complex64::new(0.0, -0.5)];
         let [a, b] = two_images(&frequencies, &first, &second, [12, 10]);
         for y in 0..10 {
@@ -121,7 +108,7 @@ mod tests {
     #[test]
     fn the_spectrum_of_one_pixel_is_a_wave() {
         let mut light = vec![0.0; 6];
-        light[1 * 3 + 2] = 2.0;
+        light[5] = 2.0;
         let spectrum = picture_spectrum(&light, [3, 2], [8, 4]);
         let at = spectrum[3 * 8 + 5];
         let exact = Complex64::from_polar(2.0, -std::f64::consts::TAU * (5.0 * 2.0 / 8.0 + 3.0 / 4.0));

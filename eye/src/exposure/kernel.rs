@@ -142,62 +142,28 @@ impl KernelSpec {
             }
         }
         // Transfer of every field point at every wavelength, in that order whatever thread computes it.
-        let jobs: Vec<(usize, f64)> = (0..points.len())
-            .flat_map(|f| self.nodes_nm.iter().map(move |&nm| (f, nm)))
-            .collect();
+        let jobs: Vec<(usize, f64)> =
+            (0..points.len()).flat_map(|f| self.nodes_nm.iter().map(move |&nm| (f, nm))).collect();
         let transfers: Vec<_> = jobs
             .par_iter()
             .map(|&(f, nm)| {
-                transfer_table(
-                    &projection,
-                    &points[f],
-                    nm,
-                    self.stiles_crawford_rho10_per_mm2,
-                    self.shape,
-                )
+                transfer_table(&projection, &points[f], nm, self.stiles_crawford_rho10_per_mm2, self.shape)
             })
             .collect::<Result<_, String>>()?;
         let centre = transfers.len() / 2;
-        let paths = transfers.get(centre).map_or(
-            Paths {
-                cornea: 1.0,
-                lens: 1.0,
-            },
-            |t| t.paths,
-        );
+        let paths = transfers.get(centre).map_or(Paths { cornea: 1.0, lens: 1.0 }, |t| t.paths);
         let throughput = transfers.iter().map(|t| t.throughput).sum::<f64>() / transfers.len().max(1) as f64;
-        let kernels = self.kernels_by_place(
-            &transfers.iter().map(|t| t.table.as_slice()).collect::<Vec<_>>(),
-            paths,
-        )?;
+        let kernels =
+            self.kernels_by_place(&transfers.iter().map(|t| t.table.as_slice()).collect::<Vec<_>>(), paths)?;
         let weights = self.basis_weights();
-        let bases: Vec<_> = kernels
-            .par_iter()
-            .map(|places| compress(places, &weights, self.tolerance))
-            .collect();
+        let bases: Vec<_> =
+            kernels.par_iter().map(|places| compress(places, &weights, self.tolerance)).collect();
         let basis_error = bases.iter().map(|b| b.error).fold(0.0, f64::max);
         let samples = self.shape.len();
         let split = |kernel: &Vec<Complex64>| kernel.chunks(samples).map(<[Complex64]>::to_vec).collect();
-        let tables = bases
-            .iter()
-            .map(|b| b.kernels.iter().map(split).collect())
-            .collect();
-        let kinds = bases
-            .into_iter()
-            .map(|b| KindBasis {
-                from_basis: b.from_basis,
-            })
-            .collect();
-        Ok(Kernels {
-            head: Head {
-                spec: self.clone(),
-                kinds,
-                basis_error,
-                throughput,
-                paths,
-            },
-            tables,
-        })
+        let tables = bases.iter().map(|b| b.kernels.iter().map(split).collect()).collect();
+        let kinds = bases.into_iter().map(|b| KindBasis { from_basis: b.coefficients }).collect();
+        Ok(Kernels { head: Head { spec: self.clone(), kinds, basis_error, throughput, paths }, tables })
     }
 
     /// `[kind][place][primary·sample]`.
@@ -231,10 +197,7 @@ impl KernelSpec {
             })
             .collect();
         let per_kind = fields * eccentricities.len();
-        Ok(flat
-            .chunks(per_kind.max(1))
-            .map(<[Vec<Complex64>]>::to_vec)
-            .collect())
+        Ok(flat.chunks(per_kind.max(1)).map(<[Vec<Complex64>]>::to_vec).collect())
     }
 
     /// Weights of the samples in the basis: area in the frequency plane times the aperture's transform squared, and the mean.
@@ -324,28 +287,17 @@ impl Kernels {
         let (head, numbers): (Head, Vec<f64>) = codec::decode(MAGIC, bytes)?;
         let primaries = head.spec.primaries.len();
         let samples = head.spec.shape.len();
-        let ranks: Vec<usize> = head
-            .kinds
-            .iter()
-            .map(|k| k.from_basis.first().map_or(0, Vec::len))
-            .collect();
+        let ranks: Vec<usize> = head.kinds.iter().map(|k| k.from_basis.first().map_or(0, Vec::len)).collect();
         let expected = ranks.iter().sum::<usize>().checked_mul(2 * primaries * samples);
         if head.kinds.len() != KINDS.len() || expected != Some(numbers.len()) || samples == 0 {
             return Err("its size does not fit its head".into());
         }
-        let values: Vec<Complex64> = numbers
-            .chunks_exact(2)
-            .map(|z| Complex64::new(z[0], z[1]))
-            .collect();
+        let values: Vec<Complex64> = numbers.chunks_exact(2).map(|z| Complex64::new(z[0], z[1])).collect();
         let mut parts = values.chunks_exact(samples);
         let mut next = || parts.next().map(<[Complex64]>::to_vec).unwrap_or_default();
         let tables = ranks
             .iter()
-            .map(|&rank| {
-                (0..rank)
-                    .map(|_| (0..primaries).map(|_| next()).collect())
-                    .collect()
-            })
+            .map(|&rank| (0..rank).map(|_| (0..primaries).map(|_| next()).collect()).collect())
             .collect();
         Ok(Self { head, tables })
     }

@@ -10,7 +10,7 @@ use rustfft::num_complex::Complex64;
 #[derive(Clone, Debug)]
 pub struct Basis {
     /// `[a][r]`: kernel a from basis kernel r.
-    pub from_basis: Vec<Vec<f64>>,
+    pub coefficients: Vec<Vec<f64>>,
     /// `[r][sample]`.
     pub kernels: Vec<Vec<Complex64>>,
     /// Root of the dropped share of the weighted squares.
@@ -47,32 +47,19 @@ pub fn compress(kernels: &[Vec<Complex64>], weights: &[f64], tolerance: f64) -> 
     let mut basis = vec![vec![Complex64::ZERO; samples]; rank];
     for (kernel, &column) in basis.iter_mut().zip(&order) {
         for (a, source) in kernels.iter().enumerate() {
-            kernel
-                .iter_mut()
-                .zip(source)
-                .for_each(|(b, k)| *b += vectors[a][column] * k);
+            kernel.iter_mut().zip(source).for_each(|(b, k)| *b += vectors[a][column] * k);
         }
     }
-    let from_basis = (0..n)
-        .map(|a| order[..rank].iter().map(|&column| vectors[a][column]).collect())
-        .collect();
-    Basis {
-        from_basis,
-        kernels: basis,
-        error: if total > 0.0 {
-            (dropped / total).sqrt()
-        } else {
-            0.0
-        },
-    }
+    let coefficients =
+        (0..n).map(|a| order[..rank].iter().map(|&column| vectors[a][column]).collect()).collect();
+    Basis { coefficients, kernels: basis, error: if total > 0.0 { (dropped / total).sqrt() } else { 0.0 } }
 }
 
 /// Eigenvalues and eigenvectors (columns) of a symmetric matrix by cyclic Jacobi rotations; at most 60 sweeps.
 fn symmetric_eigen(mut a: Vec<Vec<f64>>) -> (Vec<f64>, Vec<Vec<f64>>) {
     let n = a.len();
-    let mut v: Vec<Vec<f64>> = (0..n)
-        .map(|i| (0..n).map(|j| if i == j { 1.0 } else { 0.0 }).collect())
-        .collect();
+    let mut v: Vec<Vec<f64>> =
+        (0..n).map(|i| (0..n).map(|j| if i == j { 1.0 } else { 0.0 }).collect()).collect();
     let scale: f64 = (0..n).map(|i| a[i][i].abs()).sum();
     for _ in 0..60 {
         let mut off = 0.0_f64;
@@ -100,8 +87,9 @@ fn rotate(a: &mut [Vec<f64>], v: &mut [Vec<f64>], p: usize, q: usize) {
     for row in a.iter_mut() {
         (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
     }
-    for k in 0..a.len() {
-        (a[p][k], a[q][k]) = (c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]);
+    let (upper, lower) = a.split_at_mut(q);
+    for (at_p, at_q) in upper[p].iter_mut().zip(lower[0].iter_mut()) {
+        (*at_p, *at_q) = (c * *at_p - s * *at_q, s * *at_p + c * *at_q);
     }
     for row in v.iter_mut() {
         (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
@@ -119,16 +107,14 @@ mod tests {
             |r: usize, i: usize| Complex64::new(((i * (r + 1)) as f64 * 0.1).cos(), (r * i) as f64 * 0.01);
         let kernels: Vec<Vec<Complex64>> = (0..12)
             .map(|a| {
-                (0..200)
-                    .map(|i| (0..3).map(|r| source(r, i) * ((a * (r + 2)) as f64).sin()).sum())
-                    .collect()
+                (0..200).map(|i| (0..3).map(|r| source(r, i) * ((a * (r + 2)) as f64).sin()).sum()).collect()
             })
             .collect();
         let basis = compress(&kernels, &[1.0; 200], 1e-6);
         assert_eq!(basis.kernels.len(), 3);
         for (a, kernel) in kernels.iter().enumerate() {
             for (i, exact) in kernel.iter().enumerate() {
-                let made: Complex64 = (0..3).map(|r| basis.kernels[r][i] * basis.from_basis[a][r]).sum();
+                let made: Complex64 = (0..3).map(|r| basis.kernels[r][i] * basis.coefficients[a][r]).sum();
                 assert!((made - exact).norm() < 1e-5);
             }
         }

@@ -8,6 +8,7 @@ mod codec;
 mod cones;
 mod expected;
 mod grid;
+mod inputs;
 mod kernel;
 mod lowrank;
 mod nodes;
@@ -27,16 +28,13 @@ pub use cones::{ConeColumns, cone_columns};
 pub use kernel::{KernelSpec, Kernels};
 pub use polar::PolarShape;
 
-use crate::cone::directional::Pointing;
-use crate::display::{emitters, pupil_share};
 use crate::experiment::{Engine, Experiment, Video};
-use crate::plan::setup::{Setup, setup};
 use crate::report::PhotonBudget;
-use crate::retina::Retina;
 use crate::video::{Picture, draw};
 use budget::Ledger;
 use cones::ConeTable;
 use expected::{Expected, Means};
+use inputs::Inputs;
 use paper::Paper;
 use source::Projector;
 
@@ -109,77 +107,29 @@ impl Exposure {
     /// # Errors
     /// When an artifact's bytes are damaged or do not belong to the experiment.
     pub fn new(experiment: &Experiment, artifacts: &[impl AsRef<[u8]>]) -> Result<Self, ExposureError> {
-        let model = |e: String| ExposureError::Model(e);
-        let [cones, kernels] = artifacts else {
-            return Err(model(format!(
-                "a shard needs its cones and kernels, not {} artifacts",
-                artifacts.len()
-            )));
-        };
-        let retina = Retina::from_bytes(cones.as_ref())
-            .map_err(|e| ExposureError::Artifact("cones", e.to_string()))?;
-        let kernels =
-            Kernels::from_bytes(kernels.as_ref()).map_err(|e| ExposureError::Artifact("kernels", e))?;
-        let Setup {
-            prescription,
-            projection,
-            gaze,
-            scene,
-            ..
-        } = setup(experiment).map_err(|e| ExposureError::Model(e.to_string()))?;
-        let eye = &experiment.eye;
-        let display = experiment.display.clone();
-        let pointing = Pointing::new(
-            eye.stiles_crawford_rho10_per_mm2,
-            eye.pupil_mm,
-            mm_per_radian(&projection, &prescription),
-        );
-        let cones = ConeTable::new(
-            &retina,
-            &projection,
-            &scene,
-            &kernels,
-            display.emission_law,
-            &pointing,
-        )
-        .map_err(model)?;
-        let projector = Projector {
-            emitters: emitters(&display).map_err(model)?,
-            pupil_share: pupil_share(&display, eye.pupil_mm),
-            gaze,
-            display,
-        };
-        let ledger =
-            Ledger::new(&projector, &kernels, &projection, experiment.gaze.center_px).map_err(model)?;
+        let inputs = Inputs::read(experiment, artifacts)?;
+        let model = ExposureError::Model;
+        let cones = ConeTable::new(&inputs, experiment.display.emission_law).map_err(model)?;
+        let ledger = Ledger::new(&inputs, experiment.gaze.center_px).map_err(model)?;
         let counter = match experiment.counts.engine {
             Engine::Expected => {
                 let width = spread_width(experiment.accuracy_target);
-                Counter::Expected(Box::new(Expected::new(scene.clone(), &kernels, &cones, width)))
+                let scene = inputs.scene.clone();
+                Counter::Expected(Box::new(Expected::new(scene, &inputs.kernels, &cones, width)))
             }
-            Engine::Paper => Counter::Paper(Box::new(
-                Paper::new(
-                    experiment,
-                    &retina,
-                    &kernels,
-                    &projection,
-                    &projector,
-                    &scene,
-                    &pointing,
-                )
-                .map_err(model)?,
-            )),
+            Engine::Paper => Counter::Paper(Box::new(Paper::new(experiment, &inputs).map_err(model)?)),
         };
+        let Inputs { retina, projector, scene, .. } = inputs;
         let pattern = match &experiment.video {
             Video::Pattern(pattern) => Some(draw(pattern, &projector.display, &experiment.gaze)),
             Video::Clip(_) => None,
         };
-        let ids = retina.id.clone();
         Ok(Self {
             experiment: experiment.clone(),
             projector,
             scene,
             cones,
-            ids,
+            ids: retina.cones.id,
             ledger,
             counter,
             pattern,
@@ -212,12 +162,7 @@ impl Exposure {
         let display = &self.projector.display;
         if (picture.width, picture.height) != (display.width_px, display.height_px) {
             let (width, height) = (display.width_px, display.height_px);
-            return Err(ExposureError::PictureSize(
-                picture.width,
-                picture.height,
-                width,
-                height,
-            ));
+            return Err(ExposureError::PictureSize(picture.width, picture.height, width, height));
         }
         match &self.counter {
             Counter::Expected(expected) => {
@@ -226,11 +171,7 @@ impl Exposure {
             }
             Counter::Paper(paper) => {
                 let (counts, fates) = paper.frame(index, picture, &self.projector);
-                Ok(Frame {
-                    counts: FrameCounts::Counts(counts),
-                    budget: fates,
-                    diagnostics: Vec::new(),
-                })
+                Ok(Frame { counts: FrameCounts::Counts(counts), budget: fates, diagnostics: Vec::new() })
             }
         }
     }
@@ -241,31 +182,14 @@ impl Exposure {
             let seed = self.experiment.counts.seed;
             let draw = |(mean, id): (&f64, &u64)| poisson::draw(seed, index, *id, *mean);
             FrameCounts::Counts(
-                means
-                    .isomerized
-                    .par_iter()
-                    .zip(&self.ids)
-                    .with_min_len(1024)
-                    .map(draw)
-                    .collect(),
+                means.isomerized.par_iter().zip(&self.ids).with_min_len(1024).map(draw).collect(),
             )
         } else {
             FrameCounts::Means(means.isomerized.iter().map(|m| *m as f32).collect())
         };
         let diagnostics = vec![("means clamped at 0".to_owned(), means.clamped)];
-        Frame {
-            counts,
-            budget,
-            diagnostics,
-        }
+        Frame { counts, budget, diagnostics }
     }
-}
-
-/// Distance in the entrance pupil per angle at the cone, mm/rad: the posterior focal length n'/P, paraxially.
-fn mm_per_radian(projection: &crate::optics::Projection, prescription: &crate::optics::Prescription) -> f64 {
-    let nm = prescription.reference_wavelength_nm;
-    let eye = projection.eye();
-    1e3 * eye.indices(nm)[4] / eye.cardinal(nm).power_d
 }
 
 /// The smallest rectangle around points.

@@ -26,11 +26,7 @@ mod tests {
     fn cubics_are_exact_on_four_nodes() {
         let nodes = chebyshev(-1.0, 3.0, 4);
         let f = |x: f64| 2.0 - x + 0.5 * x.powi(3);
-        let made: f64 = lagrange(&nodes, 2.7)
-            .iter()
-            .zip(&nodes)
-            .map(|(w, n)| w * f(*n))
-            .sum();
+        let made: f64 = lagrange(&nodes, 2.7).iter().zip(&nodes).map(|(w, n)| w * f(*n)).sum();
         assert!((made - f(2.7)).abs() < 1e-12);
         assert_eq!(lagrange(&chebyshev(0.0, 2.0, 1), 1.7), vec![1.0]);
     }

@@ -15,16 +15,16 @@ use glam::DVec2;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 
-use super::kernel::Kernels;
+use super::inputs::Inputs;
 use super::scene::Scene;
 use super::source::{Projector, relative_light};
 use super::spectral::Absorbers;
-use crate::cone::{ISOMERIZATION, directional::Pointing};
+use crate::cone::ISOMERIZATION;
 use crate::display::Emitter;
 use crate::experiment::{Experiment, PaperSettings};
 use crate::optics::{Object, Projection, PupilBundle};
 use crate::report::PhotonBudget;
-use crate::retina::{ConeIndex, ConeType, Retina};
+use crate::retina::{ConeIndex, ConeType};
 use crate::rng::{Purpose, Stream};
 use crate::spectrum::MIN_NM;
 use crate::video::Picture;
@@ -86,15 +86,8 @@ impl Paper {
     ///
     /// # Errors
     /// When a node of the screen is not seen.
-    pub fn new(
-        experiment: &Experiment,
-        retina: &Retina,
-        kernels: &Kernels,
-        projection: &Projection,
-        projector: &Projector,
-        scene: &Scene,
-        pointing: &Pointing,
-    ) -> Result<Self, String> {
+    pub fn new(experiment: &Experiment, inputs: &Inputs) -> Result<Self, String> {
+        let Inputs { retina, kernels, projection, scene, pointing, projector } = inputs;
         let absorbers = kernels.spec().absorbers()?;
         let columns = super::cone_columns(experiment, retina)?;
         let cones = (0..retina.len())
@@ -114,9 +107,8 @@ impl Paper {
         let origin = (from / step).floor() * step;
         let nodes = [0, 1].map(|axis| ((to[axis] - origin[axis]) / step).ceil().max(1.0) as usize + 1);
         let wavelengths: Vec<_> = projector.emitters.iter().map(cumulative_wavelengths).collect();
-        let used: Vec<bool> = (0..CHANNELS)
-            .map(|c| wavelengths.iter().flatten().any(|(nm, _)| channel(*nm) == c))
-            .collect();
+        let used: Vec<bool> =
+            (0..CHANNELS).map(|c| wavelengths.iter().flatten().any(|(nm, _)| channel(*nm) == c)).collect();
         let mut paper = Self {
             settings: experiment.counts.paper,
             seed: experiment.counts.seed,
@@ -132,23 +124,18 @@ impl Paper {
             slant: slants(projector, projection, scene),
         };
         let apodize = experiment.eye.stiles_crawford_rho10_per_mm2;
-        let jobs: Vec<(usize, usize)> = (0..nodes[0] * nodes[1])
-            .flat_map(|node| (0..CHANNELS).map(move |c| (node, c)))
-            .collect();
+        let jobs: Vec<(usize, usize)> =
+            (0..nodes[0] * nodes[1]).flat_map(|node| (0..CHANNELS).map(move |c| (node, c))).collect();
         let tables: Vec<Option<Table>> = jobs
             .par_iter()
-            .map(|&(node, c)| {
-                if used[c] {
-                    paper.table(projection, node, c, apodize).map(Some)
-                } else {
-                    Ok(None)
-                }
-            })
+            .map(
+                |&(node, c)| {
+                    if used[c] { paper.table(projection, node, c, apodize).map(Some) } else { Ok(None) }
+                },
+            )
             .collect::<Result<_, String>>()?;
         let mut tables = tables.into_iter();
-        paper.tables = (0..nodes[0] * nodes[1])
-            .map(|_| tables.by_ref().take(CHANNELS).collect())
-            .collect();
+        paper.tables = (0..nodes[0] * nodes[1]).map(|_| tables.by_ref().take(CHANNELS).collect()).collect();
         Ok(paper)
     }
 
@@ -175,23 +162,14 @@ impl Paper {
             .iter()
             .map(|r| 10_f64.powf(-0.5 * rho * (r.stop * entrance_mm).length_squared()))
             .collect();
-        let cumulative = cumulative(
-            &bundle,
-            &amplitudes,
-            self.settings.samples as usize,
-            half_width_um,
-        );
+        let cumulative = cumulative(&bundle, &amplitudes, self.settings.samples as usize, half_width_um);
         let ecc_deg = tangent.length().atan().to_degrees();
         let media = &self.absorbers.media;
         Ok(Table {
             cumulative,
             half_width_um,
             landing_um: projection.retina_um(tangent, nm).map_err(|e| e.to_string())?,
-            passed: [
-                media.cornea(nm, 1.0),
-                media.lens(nm, 1.0),
-                media.macula(nm, ecc_deg),
-            ],
+            passed: [media.cornea(nm, 1.0), media.lens(nm, 1.0), media.macula(nm, ecc_deg)],
         })
     }
 
@@ -201,10 +179,7 @@ impl Paper {
         let chunks: Vec<(usize, usize)> = (0..projector.emitters.len())
             .flat_map(|k| (0..(width * height).div_ceil(CHUNK)).map(move |c| (k, c)))
             .collect();
-        let empty = || Tally {
-            counts: vec![0; self.cones.len()],
-            budget: PhotonBudget::default(),
-        };
+        let empty = || Tally { counts: vec![0; self.cones.len()], budget: PhotonBudget::default() };
         // Counts and fates are whole numbers, so their sums do not depend on the order.
         let mut tally = chunks
             .par_iter()
@@ -221,10 +196,7 @@ impl Paper {
                 tally
             })
             .reduce(empty, |mut a, b| {
-                a.counts
-                    .iter_mut()
-                    .zip(&b.counts)
-                    .for_each(|(x, y)| *x = x.saturating_add(*y));
+                a.counts.iter_mut().zip(&b.counts).for_each(|(x, y)| *x = x.saturating_add(*y));
                 a.budget.add(&b.budget);
                 a
             });
@@ -258,15 +230,11 @@ impl Paper {
         let at = (row + self.scene.first_px[1] as usize) * picture.width as usize
             + column
             + self.scene.first_px[0] as usize;
-        let light = relative_light(
-            &projector.display,
-            emitter.channel,
-            &picture.rgb[3 * at..3 * at + 3],
-        );
+        let light = relative_light(&projector.display, emitter.channel, &picture.rgb[3 * at..3 * at + 3]);
         let mean = light * emitter.emitted() * projector.pupil_share * self.slant[pixel];
         let seconds = 1.0 / projector.display.frame_rate_hz;
         for _ in 0..super::poisson::from_stream(stream, mean) as u64 {
-            let place = self.place(emitter, stream) + DVec2::new(column as f64, row as f64);
+            let place = Self::place(emitter, stream) + DVec2::new(column as f64, row as f64);
             let part = emitter.lit[0] + (emitter.lit[1] - emitter.lit[0]) * stream.uniform();
             let seen = self.scene.tangent(place)
                 - projector.gaze.screen_tangent((f64::from(index) + part) * seconds);
@@ -276,7 +244,7 @@ impl Paper {
     }
 
     /// A point of the emitter's rectangles, pixel units.
-    fn place(&self, emitter: &Emitter, stream: &mut Stream) -> DVec2 {
+    fn place(emitter: &Emitter, stream: &mut Stream) -> DVec2 {
         let mut left = stream.uniform();
         let mut chosen = emitter.rects[emitter.rects.len() - 1].0;
         for (rect, share) in &emitter.rects {
@@ -287,10 +255,7 @@ impl Paper {
             left -= share;
         }
         let [x0, y0, x1, y1] = chosen;
-        DVec2::new(
-            x0 + (x1 - x0) * stream.uniform(),
-            y0 + (y1 - y0) * stream.uniform(),
-        )
+        DVec2::new(x0 + (x1 - x0) * stream.uniform(), y0 + (y1 - y0) * stream.uniform())
     }
 
     /// One photon in the pupil, seen at a point of the screen.
@@ -315,13 +280,9 @@ impl Paper {
             (0..3).for_each(|i| passed[i] += weight * table.passed[i]);
         }
         // The filters before the retina.
-        for (fate, share) in [
-            &mut tally.budget.cornea,
-            &mut tally.budget.lens,
-            &mut tally.budget.macula,
-        ]
-        .into_iter()
-        .zip(passed)
+        for (fate, share) in [&mut tally.budget.cornea, &mut tally.budget.lens, &mut tally.budget.macula]
+            .into_iter()
+            .zip(passed)
         {
             if stream.uniform() >= share {
                 *fate += 1.0;
@@ -349,12 +310,7 @@ impl Paper {
             return;
         }
         let nm = MIN_NM + CHANNEL_NM * channel as f64;
-        if stream.uniform()
-            >= self
-                .absorbers
-                .pigments
-                .absorptance(cone.cone_type, nm, cone.ecc_deg)
-        {
+        if stream.uniform() >= self.absorbers.pigments.absorptance(cone.cone_type, nm, cone.ecc_deg) {
             tally.budget.not_absorbed += 1.0;
         } else if stream.uniform() >= ISOMERIZATION {
             tally.budget.not_isomerized += 1.0;
@@ -368,10 +324,7 @@ impl Paper {
 impl Table {
     /// The landing offset for a uniform number, µm.
     fn draw(&self, uniform: f64, samples: usize) -> DVec2 {
-        let at = self
-            .cumulative
-            .partition_point(|c| f64::from(*c) <= uniform)
-            .min(self.cumulative.len() - 1);
+        let at = self.cumulative.partition_point(|c| f64::from(*c) <= uniform).min(self.cumulative.len() - 1);
         let pitch = 2.0 * self.half_width_um / samples as f64;
         let offset = |i: usize| (i as f64 + 0.5) * pitch - self.half_width_um;
         DVec2::new(offset(at / samples), offset(at % samples))
@@ -393,10 +346,7 @@ fn cumulative_wavelengths(emitter: &Emitter) -> Vec<(f64, f64)> {
 }
 
 fn sample(cumulative: &[(f64, f64)], uniform: f64) -> f64 {
-    cumulative[cumulative
-        .partition_point(|(_, c)| *c <= uniform)
-        .min(cumulative.len() - 1)]
-    .0
+    cumulative[cumulative.partition_point(|(_, c)| *c <= uniform).min(cumulative.len() - 1)].0
 }
 
 /// Slant factors of the window's pixels.
@@ -406,11 +356,7 @@ fn slants(projector: &Projector, projection: &Projection, scene: &Scene) -> Vec<
     for row in 0..height {
         for column in 0..width {
             let tangent = scene.tangent(DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5));
-            slants.push(super::cones::slant_factor(
-                projector.display.emission_law,
-                projection,
-                tangent,
-            ));
+            slants.push(super::cones::slant_factor(projector.display.emission_law, projection, tangent));
         }
     }
     slants
@@ -453,10 +399,7 @@ fn concentric(p: DVec2) -> DVec2 {
 fn spread_width_um(projection: &Projection, bundle: &PupilBundle) -> f64 {
     let fovea = projection.eye().fovea();
     let centre = fovea.um_from_point(bundle.landing);
-    let far = bundle
-        .rays
-        .iter()
-        .map(|r| (fovea.um_from_point(r.landing) - centre).abs().max_element());
+    let far = bundle.rays.iter().map(|r| (fovea.um_from_point(r.landing) - centre).abs().max_element());
     2.0 * far.fold(0.0, f64::max)
 }
 
@@ -468,11 +411,7 @@ fn cumulative(bundle: &PupilBundle, amplitudes: &[f64], samples: usize, half_wid
     let offset = |i: usize| (i as f64 + 0.5) * pitch - half_width_um;
     let mut field = vec![Complex64::ZERO; samples * samples];
     for (ray, amplitude) in bundle.rays.iter().zip(amplitudes) {
-        let wave = |q: f64| {
-            (0..samples)
-                .map(|i| Complex64::cis(-turn * q * offset(i)))
-                .collect::<Vec<_>>()
-        };
+        let wave = |q: f64| (0..samples).map(|i| Complex64::cis(-turn * q * offset(i))).collect::<Vec<_>>();
         let (along_x, along_y) = (wave(ray.q.x), wave(ray.q.y));
         let start = Complex64::from_polar(*amplitude, turn * ray.opd_mm * 1e3);
         for (line, x) in field.chunks_exact_mut(samples).zip(&along_x) {

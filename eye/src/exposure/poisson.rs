@@ -25,20 +25,12 @@ mod tests {
     fn mean_and_variance() {
         for mean in [0.03, 1.0, 9.7, 30.0, 4000.0] {
             let n = 200_000_u32;
-            let draws: Vec<f64> = (0..n)
-                .map(|i| f64::from(draw(7, 3, u64::from(i), mean)))
-                .collect();
+            let draws: Vec<f64> = (0..n).map(|i| f64::from(draw(7, 3, u64::from(i), mean))).collect();
             let m = draws.iter().sum::<f64>() / f64::from(n);
             let v = draws.iter().map(|d| (d - m).powi(2)).sum::<f64>() / f64::from(n - 1);
-            assert!(
-                (m - mean).abs() < 5.0 * (mean / f64::from(n)).sqrt(),
-                "{mean}: mean {m}"
-            );
+            assert!((m - mean).abs() < 5.0 * (mean / f64::from(n)).sqrt(), "{mean}: mean {m}");
             let fourth = mean * (1.0 + 3.0 * mean) - mean * mean;
-            assert!(
-                (v - mean).abs() < 5.0 * (fourth / f64::from(n)).sqrt(),
-                "{mean}: variance {v}"
-            );
+            assert!((v - mean).abs() < 5.0 * (fourth / f64::from(n)).sqrt(), "{mean}: variance {v}");
         }
     }
 

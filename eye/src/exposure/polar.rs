@@ -61,11 +61,7 @@ impl PolarShape {
         let mut columns = [(0, 1.0); 4];
         for (i, column) in columns.iter_mut().enumerate() {
             let index = (below as i64 + i as i64 - 1).rem_euclid(2 * self.azimuthal as i64) as usize;
-            *column = if index < self.azimuthal {
-                (index, 1.0)
-            } else {
-                (index - self.azimuthal, -1.0)
-            };
+            *column = if index < self.azimuthal { (index, 1.0) } else { (index - self.azimuthal, -1.0) };
         }
         Some(Stencil {
             rows,
@@ -93,12 +89,7 @@ impl PolarShape {
 /// Lagrange weights on the nodes 0, 1, 2, 3.
 fn lagrange4(t: f64) -> [f64; 4] {
     let (a, b, c, d) = (t, t - 1.0, t - 2.0, t - 3.0);
-    [
-        -b * c * d / 6.0,
-        a * c * d / 2.0,
-        -a * b * d / 2.0,
-        a * b * c / 6.0,
-    ]
+    [-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0]
 }
 
 #[cfg(test)]
@@ -107,11 +98,7 @@ mod tests {
 
     /// Largest error over the disc for a shifted Gaussian.
     fn worst(azimuthal: usize, radial: usize) -> f64 {
-        let shape = PolarShape {
-            radius: 100.0,
-            radial,
-            azimuthal,
-        };
+        let shape = PolarShape { radius: 100.0, radial, azimuthal };
         let exact = |nu: DVec2| {
             let phase = std::f64::consts::TAU * (0.02 * nu.x - 0.01 * nu.y);
             Complex64::from_polar((-nu.length_squared() / 3000.0).exp(), phase)
@@ -136,11 +123,7 @@ mod tests {
 
     #[test]
     fn beyond_the_radius_there_is_nothing() {
-        let shape = PolarShape {
-            radius: 100.0,
-            radial: 16,
-            azimuthal: 16,
-        };
+        let shape = PolarShape { radius: 100.0, radial: 16, azimuthal: 16 };
         assert!(shape.stencil(DVec2::new(71.0, 71.0)).is_none());
     }
 }

@@ -61,12 +61,8 @@ impl Scene {
         let guard = needs.guard / tangent_per_px;
         // A pixel at p is seen at p - sight: the window holds whatever comes within the guard of a cone.
         let last = DVec2::new(f64::from(display.width_px), f64::from(display.height_px));
-        let from = (needs.centre_px + cones_min + sight_min - guard)
-            .floor()
-            .clamp(DVec2::ZERO, last);
-        let to = (needs.centre_px + cones_max + sight_max + guard)
-            .ceil()
-            .clamp(from, last);
+        let from = (needs.centre_px + cones_min + sight_min - guard).floor().clamp(DVec2::ZERO, last);
+        let to = (needs.centre_px + cones_max + sight_max + guard).ceil().clamp(from, last);
         let seen_from = from - needs.centre_px - sight_max;
         let seen_to = to - needs.centre_px - sight_min;
         let reach = (cones_max - seen_from).max(seen_to - cones_min).max(DVec2::ONE) + guard;
@@ -124,10 +120,7 @@ fn good_size(at_least: usize) -> usize {
         }
         n == 1
     };
-    (at_least.next_multiple_of(2)..)
-        .step_by(2)
-        .find(|&n| smooth(n))
-        .unwrap_or(at_least)
+    (at_least.next_multiple_of(2)..).step_by(2).find(|&n| smooth(n)).unwrap_or(at_least)
 }
 
 #[cfg(test)]

@@ -60,11 +60,7 @@ impl Projector {
             for column in 0..width {
                 let at =
                     3 * ((scene.first_px[1] + row) * picture.width + scene.first_px[0] + column) as usize;
-                light.push(relative_light(
-                    &self.display,
-                    emitter.channel,
-                    &picture.rgb[at..at + 3],
-                ));
+                light.push(relative_light(&self.display, emitter.channel, &picture.rgb[at..at + 3]));
             }
         }
         light
@@ -83,16 +79,8 @@ impl Projector {
                         self.gaze.screen_tangent((f64::from(index) + part) * seconds) / scene.tangent_per_px;
                     DVec2::new(at.x, -at.y)
                 });
-                let light = self
-                    .drive(emitter, picture, scene)
-                    .into_iter()
-                    .map(|v| v * photons)
-                    .collect();
-                SourcePrimary {
-                    light,
-                    rects: emitter.rects.clone(),
-                    sight,
-                }
+                let light = self.drive(emitter, picture, scene).into_iter().map(|v| v * photons).collect();
+                SourcePrimary { light, rects: emitter.rects.clone(), sight }
             })
             .collect();
         Source { primaries }
@@ -118,11 +106,7 @@ impl SourcePrimary {
 /// sin(πx)/(πx), an even function; its sign is kept by `from_polar` as a turn of π.
 fn sinc(x: f64) -> f64 {
     let y = std::f64::consts::PI * x;
-    if y.abs() < 1e-4 {
-        1.0 - y * y / 6.0
-    } else {
-        y.sin() / y
-    }
+    if y.abs() < 1e-4 { 1.0 - y * y / 6.0 } else { y.sin() / y }
 }
 
 #[cfg(test)]

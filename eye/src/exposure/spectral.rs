@@ -79,16 +79,10 @@ impl Absorbers {
         let mut weights = vec![0.0; nodes_nm.len()];
         for &(nm, share) in shares {
             let caught = share * self.caught_at(kind, nm, ecc_deg, paths);
-            let above = nodes_nm
-                .partition_point(|&node| node < nm)
-                .min(nodes_nm.len() - 1);
+            let above = nodes_nm.partition_point(|&node| node < nm).min(nodes_nm.len() - 1);
             let below = above.saturating_sub(1);
             let span = nodes_nm[above] - nodes_nm[below];
-            let t = if span > 0.0 {
-                ((nm - nodes_nm[below]) / span).clamp(0.0, 1.0)
-            } else {
-                1.0
-            };
+            let t = if span > 0.0 { ((nm - nodes_nm[below]) / span).clamp(0.0, 1.0) } else { 1.0 };
             weights[below] += (1.0 - t) * caught;
             weights[above] += t * caught;
         }
@@ -122,10 +116,7 @@ mod tests {
     #[test]
     fn lines_are_exact_and_bands_are_stepped() {
         assert_eq!(wavelength_nodes(vec![543.0], 10.0), vec![543.0]);
-        assert_eq!(
-            wavelength_nodes(vec![630.0, 467.0, 532.0], 10.0),
-            vec![467.0, 532.0, 630.0]
-        );
+        assert_eq!(wavelength_nodes(vec![630.0, 467.0, 532.0], 10.0), vec![467.0, 532.0, 630.0]);
         let band: Vec<f64> = (0..=40).map(|i| 400.0 + 0.5 * f64::from(i)).collect();
         assert_eq!(wavelength_nodes(band, 10.0), vec![400.0, 410.0, 420.0]);
         assert!(wavelength_nodes(Vec::new(), 10.0).is_empty());
@@ -133,22 +124,15 @@ mod tests {
 
     #[test]
     fn weights_sum_to_the_direct_integral() {
-        let absorbers = Absorbers {
-            media: Media::new(1.0, 0.4).unwrap(),
-            pigments: Pigments::new().unwrap(),
-        };
-        let paths = Paths {
-            cornea: 1.0,
-            lens: 1.0,
-        };
+        let absorbers =
+            Absorbers { media: Media::new(1.0, 0.4).unwrap(), pigments: Pigments::new().unwrap() };
+        let paths = Paths { cornea: 1.0, lens: 1.0 };
         let shares: Vec<Share> = (0..=300).map(|i| (400.0 + f64::from(i), 1.0 / 301.0)).collect();
         let nodes = wavelength_nodes(shares.iter().map(|s| s.0).collect(), 10.0);
         for kind in KINDS {
             let weights = absorbers.weights(&shares, &nodes, kind, 0.3, paths);
-            let direct: f64 = shares
-                .iter()
-                .map(|&(nm, s)| s * absorbers.caught_at(kind, nm, 0.3, paths))
-                .sum();
+            let direct: f64 =
+                shares.iter().map(|&(nm, s)| s * absorbers.caught_at(kind, nm, 0.3, paths)).sum();
             assert!((weights.iter().sum::<f64>() / direct - 1.0).abs() < 1e-12);
         }
     }

@@ -40,11 +40,7 @@ impl Spread {
     fn value(&self, samples: f64) -> f64 {
         let z = 2.0 * samples / self.width as f64;
         let inside = 1.0 - z * z;
-        if inside <= 0.0 {
-            0.0
-        } else {
-            (self.beta * (inside.sqrt() - 1.0)).exp()
-        }
+        if inside <= 0.0 { 0.0 } else { (self.beta * (inside.sqrt() - 1.0)).exp() }
     }
 
     /// The kernel's transform at a frequency in cycles per sample, by the midpoint rule in the arc sine of z.
@@ -84,9 +80,7 @@ impl Spread {
             for row in top..(top + self.width + 1).min(rows) {
                 let down = self.value(first.y + row as f64 - at.y);
                 let line = &mut values[row * columns + start..row * columns + end];
-                line.iter_mut()
-                    .zip(&across[start..end])
-                    .for_each(|(v, a)| *v += down * a);
+                line.iter_mut().zip(&across[start..end]).for_each(|(v, a)| *v += down * a);
             }
         }
         let wrap = |value: f64, samples: usize| (value as i64).rem_euclid(samples as i64) as u32;
@@ -113,10 +107,9 @@ fn triangle_nodes([a, b, c]: [DVec2; 3], nodes: &mut Vec<Node>) {
     let root = 15_f64.sqrt();
     let area = 0.5 * (b - a).perp_dot(c - a).abs();
     nodes.push(((a + b + c) / 3.0, 0.225 * area));
-    for (near, weight) in [
-        ((6.0 - root) / 21.0, (155.0 - root) / 1200.0),
-        ((6.0 + root) / 21.0, (155.0 + root) / 1200.0),
-    ] {
+    for (near, weight) in
+        [((6.0 - root) / 21.0, (155.0 - root) / 1200.0), ((6.0 + root) / 21.0, (155.0 + root) / 1200.0)]
+    {
         let far = 1.0 - 2.0 * near;
         for [p, q, r] in [[a, b, c], [b, c, a], [c, a, b]] {
             nodes.push((p * far + (q + r) * near, weight * area));
@@ -130,12 +123,8 @@ mod tests {
 
     #[test]
     fn polygon_nodes_integrate_polynomials() {
-        let corners = [
-            DVec2::new(0.0, 0.0),
-            DVec2::new(2.0, 0.0),
-            DVec2::new(2.0, 1.0),
-            DVec2::new(0.0, 1.0),
-        ];
+        let corners =
+            [DVec2::new(0.0, 0.0), DVec2::new(2.0, 0.0), DVec2::new(2.0, 1.0), DVec2::new(0.0, 1.0)];
         let nodes = polygon_nodes(&corners);
         let integral = |f: fn(DVec2) -> f64| nodes.iter().map(|(p, w)| w * f(*p)).sum::<f64>();
         assert!((integral(|_| 1.0) - 2.0).abs() < 1e-12);
@@ -154,13 +143,9 @@ mod tests {
             .collect();
         let mut worst = 0.0_f64;
         for centre in [DVec2::new(20.3, 31.7), DVec2::new(63.9, 0.2)] {
-            let square = [
-                DVec2::new(-1.0, -1.0),
-                DVec2::new(1.0, -1.0),
-                DVec2::new(1.0, 1.0),
-                DVec2::new(-1.0, 1.0),
-            ]
-            .map(|c| centre + half * c);
+            let square =
+                [DVec2::new(-1.0, -1.0), DVec2::new(1.0, -1.0), DVec2::new(1.0, 1.0), DVec2::new(-1.0, 1.0)]
+                    .map(|c| centre + half * c);
             let weights = spread.weights(&polygon_nodes(&square), [samples; 2]);
             let mut sum = 0.0;
             for (i, w) in weights.values.iter().enumerate() {
@@ -178,10 +163,8 @@ mod tests {
     /// High frequency over a small square tests the spreading, low frequency over a large one the quadrature.
     #[test]
     fn waves_are_integrated() {
-        let (spreading, quadrature) = (
-            wave_error(DVec2::new(13.0, -17.0), 0.05),
-            wave_error(DVec2::new(5.0, -7.0), 0.8),
-        );
+        let (spreading, quadrature) =
+            (wave_error(DVec2::new(13.0, -17.0), 0.05), wave_error(DVec2::new(5.0, -7.0), 0.8));
         assert!(spreading < 3e-6, "{spreading}");
         assert!(quadrature < 3e-6, "{quadrature}");
     }

@@ -37,9 +37,7 @@ impl FieldPoint {
     /// When the retinal point sees no screen.
     pub fn new(projection: &Projection, um: DVec2) -> Result<Self, String> {
         let tangent = projection.screen_tangent(um).map_err(|e| e.to_string())?;
-        let jacobian = projection
-            .jacobian_um_per_tangent(tangent)
-            .map_err(|e| e.to_string())?;
+        let jacobian = projection.jacobian_um_per_tangent(tangent).map_err(|e| e.to_string())?;
         Ok(Self {
             object: projection.object(tangent),
             tangent,
@@ -71,19 +69,13 @@ pub fn transfer_table(
     rho10_per_mm2: f64,
     shape: PolarShape,
 ) -> Result<Transfer, String> {
-    let stiles_crawford = (rho10_per_mm2 > 0.0).then_some(StilesCrawfordApodization {
-        rho_base10_per_mm2: rho10_per_mm2,
-    });
-    let options = WavefrontOptions {
-        stiles_crawford,
-        ..WavefrontOptions::default()
-    };
+    let stiles_crawford =
+        (rho10_per_mm2 > 0.0).then_some(StilesCrawfordApodization { rho_base10_per_mm2: rho10_per_mm2 });
+    let options = WavefrontOptions { stiles_crawford, ..WavefrontOptions::default() };
     let wavefront =
         Wavefront::new(projection.eye(), point.object, nm, &options).map_err(|e| e.to_string())?;
     let otf = Otf::new(&wavefront);
-    let landing = projection
-        .retina_um(point.tangent, nm)
-        .map_err(|e| e.to_string())?;
+    let landing = projection.retina_um(point.tangent, nm).map_err(|e| e.to_string())?;
     // Cycles of the spread's edge within the band limit decide how finely the transfer oscillates.
     let cycles = spot_radius_um(&wavefront) * otf.cutoff(0.0);
     let radial = MIN_RADIAL + (2.5 * cycles).ceil() as usize;
@@ -91,29 +83,13 @@ pub fn transfer_table(
     let directions: Vec<Vec<Complex64>> = (0..azimuthal)
         .map(|j| {
             let angle = std::f64::consts::PI * j as f64 / azimuthal as f64;
-            along(
-                &otf,
-                point.frequency_map * DVec2::from_angle(angle),
-                radial,
-                shape,
-            )
+            along(&otf, point.frequency_map * DVec2::from_angle(angle), radial, shape)
         })
         .collect();
     let mut table = over_azimuth(&directions, shape);
-    shift(
-        &mut table,
-        point.frequency_map.transpose() * (landing - point.landing_um),
-        shape,
-    );
-    let paths = Paths {
-        cornea: wavefront.path_cornea,
-        lens: wavefront.path_lens,
-    };
-    Ok(Transfer {
-        table,
-        throughput: wavefront.throughput(),
-        paths,
-    })
+    shift(&mut table, point.frequency_map.transpose() * (landing - point.landing_um), shape);
+    let paths = Paths { cornea: wavefront.path_cornea, lens: wavefront.path_lens };
+    Ok(Transfer { table, throughput: wavefront.throughput(), paths })
 }
 
 /// Largest distance from the chief ray's landing point at which rays land, µm: the gradient of the path difference.
@@ -121,11 +97,11 @@ fn spot_radius_um(wavefront: &Wavefront) -> f64 {
     let [by_x, by_y] = wavefront.opd_um.gradient();
     let to_cosines = wavefront.axes.inverse().transpose();
     let points = (0..4).flat_map(|ring| {
-        (0..12).map(move |i| DVec2::from_angle(f64::from(i) * 0.5236) * (0.25 * f64::from(ring + 1)))
+        (0..12).map(move |i| {
+            DVec2::from_angle(f64::from(i) * std::f64::consts::FRAC_PI_6) * (0.25 * f64::from(ring + 1))
+        })
     });
-    points
-        .map(|p| (to_cosines * DVec2::new(by_x.at(p), by_y.at(p))).length())
-        .fold(0.0, f64::max)
+    points.map(|p| (to_cosines * DVec2::new(by_x.at(p), by_y.at(p))).length()).fold(0.0, f64::max)
 }
 
 /// Transfer along a direction at the table's radii; `unit` is the retinal frequency of a unit screen frequency.
@@ -133,23 +109,15 @@ fn along(otf: &Otf, unit: DVec2, points: usize, shape: PolarShape) -> Vec<Comple
     let direction = unit.y.atan2(unit.x);
     let cutoff = otf.cutoff(direction);
     let last = (points - 1) as f64;
-    let us: Vec<f64> = (0..points)
-        .map(|i| 0.5 * (1.0 - (std::f64::consts::PI * i as f64 / last).cos()))
-        .collect();
-    let nus: Vec<f64> = us
-        .iter()
-        .map(|u| cutoff * (1.0 - (1.0 - u) * (1.0 - u)))
-        .collect();
+    let us: Vec<f64> =
+        (0..points).map(|i| 0.5 * (1.0 - (std::f64::consts::PI * i as f64 / last).cos())).collect();
+    let nus: Vec<f64> = us.iter().map(|u| cutoff * (1.0 - (1.0 - u) * (1.0 - u))).collect();
     let values = otf.radial(direction, &nus);
     let step = shape.radius / (shape.radial - 1) as f64 * unit.length() / cutoff;
     (0..shape.radial)
         .map(|i| {
             let x = step * i as f64;
-            if x >= 1.0 {
-                Complex64::ZERO
-            } else {
-                barycentric(&us, &values, 1.0 - (1.0 - x).sqrt())
-            }
+            if x >= 1.0 { Complex64::ZERO } else { barycentric(&us, &values, 1.0 - (1.0 - x).sqrt()) }
         })
         .collect()
 }
@@ -179,10 +147,7 @@ fn over_azimuth(directions: &[Vec<Complex64>], shape: PolarShape) -> Vec<Complex
         let angle = std::f64::consts::PI * j as f64 / shape.azimuthal as f64;
         for (d, direction) in directions.iter().enumerate() {
             let at = std::f64::consts::PI * d as f64 / directions.len() as f64;
-            let (near, far) = (
-                dirichlet(angle - at, n),
-                dirichlet(angle - at - std::f64::consts::PI, n),
-            );
+            let (near, far) = (dirichlet(angle - at, n), dirichlet(angle - at - std::f64::consts::PI, n));
             for (value, sample) in line.iter_mut().zip(direction) {
                 *value += near * sample + far * sample.conj();
             }

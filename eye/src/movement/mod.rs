@@ -36,20 +36,13 @@ impl Gaze {
     pub fn new(movement: Movement, distance_cm: f64, duration_s: f64) -> Result<Self, RangeError> {
         let (speed, direction_deg) = match movement {
             Movement::Still => (0.0, 0.0),
-            Movement::Drift {
-                speed_arcmin_per_s,
-                direction_deg,
-            } => (speed_arcmin_per_s, direction_deg),
+            Movement::Drift { speed_arcmin_per_s, direction_deg } => (speed_arcmin_per_s, direction_deg),
         };
         let turn_deg = speed / 60.0 * duration_s;
         if turn_deg > MAX_TURN_DEG {
             let allowed =
                 format!("at most {MAX_TURN_DEG}° over all frames ({duration_s} s), here it is {turn_deg}°");
-            return Err(RangeError::new(
-                "gaze.movement.drift.speed_arcmin_per_s",
-                speed,
-                &allowed,
-            ));
+            return Err(RangeError::new("gaze.movement.drift.speed_arcmin_per_s", speed, &allowed));
         }
         Ok(Self {
             radians_per_s: (speed / 60.0).to_radians(),
@@ -78,10 +71,7 @@ mod tests {
 
     #[test]
     fn the_default_drift_goes_right_and_up() {
-        let drift = Movement::Drift {
-            speed_arcmin_per_s: 6.0,
-            direction_deg: 30.0,
-        };
+        let drift = Movement::Drift { speed_arcmin_per_s: 6.0, direction_deg: 30.0 };
         let gaze = Gaze::new(drift, 1e12, 1.0).unwrap();
         let shift = gaze.screen_tangent(1.0);
         let angle = (0.1_f64).to_radians();
@@ -95,10 +85,7 @@ mod tests {
     fn still_is_still_and_too_far_is_refused() {
         let still = Gaze::new(Movement::Still, 100.0, 1e5).unwrap();
         assert_eq!(still.screen_tangent(77.0), DVec2::ZERO);
-        let wild = Movement::Drift {
-            speed_arcmin_per_s: 60000.0,
-            direction_deg: 0.0,
-        };
+        let wild = Movement::Drift { speed_arcmin_per_s: 60000.0, direction_deg: 0.0 };
         assert!(Gaze::new(wild, 100.0, 1.0).is_err());
         assert!(Gaze::new(wild, 100.0, 0.01).is_ok());
     }

@@ -19,11 +19,7 @@ impl Prescription {
     /// (radius, conic) of the lens front and back, aqueous depth, lens thickness (mm), lens index shift at nominal A.
     pub(super) fn accommodated(&self, a: f64) -> ((f64, f64), (f64, f64), f64, f64, f64) {
         let law = &self.accommodation;
-        let ln = if a < -0.5 {
-            0.5_f64.ln() + (a + 0.5) / 0.5
-        } else {
-            a.ln_1p()
-        };
+        let ln = if a < -0.5 { 0.5_f64.ln() + (a + 0.5) / 0.5 } else { a.ln_1p() };
         (
             (
                 self.lens_front.radius_mm + law.lens_front_radius_mm * ln,
@@ -57,19 +53,9 @@ impl SchematicEye {
         in_range("focus.wavelength_nm", wavelength_nm, 365.0, 1014.0)?;
         let vergence_d = 1e3 / object_distance_mm;
         let variance = |a: f64| -> Result<f64, OpticsError> {
-            let eye = SchematicEye::new(
-                p,
-                &EyeState {
-                    accommodation_a: a,
-                    ..*state_without_a
-                },
-            )?;
+            let eye = SchematicEye::new(p, &EyeState { accommodation_a: a, ..*state_without_a })?;
             let object = Object::field(p.fovea_angle_deg, vergence_d)?;
-            let nodes = PupilNodes {
-                radial: 6,
-                azimuth: 16,
-                edge: 0,
-            };
+            let nodes = PupilNodes { radial: 6, azimuth: 16, edge: 0 };
             Ok(PupilBundle::trace(&eye, object, wavelength_nm, nodes)?.variance_mm2())
         };
         // Walk to a bracket of the minimum, then golden section with parabolic steps.
@@ -83,12 +69,7 @@ impl SchematicEye {
             }
             middle += if low < high { -step } else { step };
             at = low.min(high);
-            in_range(
-                "accommodation needed (nominal A)",
-                middle,
-                RANGE.0 + step,
-                RANGE.1 - step,
-            )?;
+            in_range("accommodation needed (nominal A)", middle, RANGE.0 + step, RANGE.1 - step)?;
         }
         Err(OpticsError::OutOfRange {
             field: "accommodation needed (nominal A)",

@@ -39,13 +39,7 @@ impl<'a> Aimer<'a> {
     fn with_indices(eye: &'a SchematicEye, object: Object, indices: [f64; 5]) -> Self {
         let d = object.direction();
         let e1 = DVec3::new(-d.y, d.x, 0.0).try_normalize().unwrap_or(DVec3::X);
-        Self {
-            eye,
-            object,
-            indices,
-            e1,
-            e2: d.cross(e1),
-        }
+        Self { eye, object, indices, e1, e2: d.cross(e1) }
     }
 
     /// The ray through `uv` of the launch plane and its path from the object less that to the apex, mm.
@@ -79,10 +73,7 @@ impl<'a> Aimer<'a> {
     /// d(stop)/d(uv) by central differences.
     pub(super) fn slope(&self, uv: DVec2) -> Option<DMat2> {
         let column = |e: DVec2| Some((self.stop(uv + e)? - self.stop(uv - e)?) / (2.0 * STEP_MM));
-        Some(DMat2::from_cols(
-            column(DVec2::new(STEP_MM, 0.0))?,
-            column(DVec2::new(0.0, STEP_MM))?,
-        ))
+        Some(DMat2::from_cols(column(DVec2::new(STEP_MM, 0.0))?, column(DVec2::new(0.0, STEP_MM))?))
     }
 
     /// Damped Newton from `start`: the launch point of the ray through `target` of the stop.
@@ -170,16 +161,10 @@ impl SchematicEye {
     /// # Errors
     /// [`OpticsError::NoRay`] when none gets to the retina; [`OpticsError::OutOfRange`] for the wavelength.
     pub fn chief_ray(&self, object: Object, wavelength_nm: f64) -> Result<Traced, OpticsError> {
-        let lost = OpticsError::NoRay {
-            angle_deg: object.angle_deg(),
-        };
+        let lost = OpticsError::NoRay { angle_deg: object.angle_deg() };
         let aimer = Aimer::new(self, object, wavelength_nm)?;
         let Some(uv) = aimer.chief() else { return Err(lost) };
         let traced = self.trace_with(&aimer.launch(uv).0, &aimer.indices);
-        if traced.fate == RayFate::Arrived {
-            Ok(traced)
-        } else {
-            Err(lost)
-        }
+        if traced.fate == RayFate::Arrived { Ok(traced) } else { Err(lost) }
     }
 }

@@ -84,16 +84,10 @@ impl Sphere {
     fn meet(&self, ray: &Traced, path_before: f64) -> Option<(f64, DVec3)> {
         let back = ray.hits[3]? - self.centre;
         let along = back.dot(ray.direction);
-        let t = -along
-            - (along * along - back.length_squared() + self.radius * self.radius)
-                .max(0.0)
-                .sqrt();
+        let t = -along - (along * along - back.length_squared() + self.radius * self.radius).max(0.0).sqrt();
         let q = (back + t * ray.direction) / self.radius;
         let path = path_before + ray.optical_path_mm + self.n_vitreous * (t - ray.path_mm[4]);
-        Some((
-            path,
-            DVec3::new(q.dot(self.frame[0]), q.dot(self.frame[1]), q.dot(self.frame[2])),
-        ))
+        Some((path, DVec3::new(q.dot(self.frame[0]), q.dot(self.frame[1]), q.dot(self.frame[2]))))
     }
 }
 
@@ -123,9 +117,7 @@ impl PupilBundle {
         points: &[(DVec2, f64)],
         rim: &[(DVec2, f64)],
     ) -> Result<Self, OpticsError> {
-        let lost = || OpticsError::NoRay {
-            angle_deg: object.angle_deg(),
-        };
+        let lost = || OpticsError::NoRay { angle_deg: object.angle_deg() };
         let aimer = Aimer::new(eye, object, wavelength_nm)?;
         let chief_uv = aimer.chief().ok_or_else(lost)?;
         let (ray, chief_before) = aimer.launch(chief_uv);
@@ -142,12 +134,7 @@ impl PupilBundle {
         };
         let chief_path = sphere.meet(&chief, chief_before).ok_or_else(lost)?.0;
         let inverse = aimer.slope(chief_uv).ok_or_else(lost)?.inverse();
-        let tracer = Tracer {
-            aimer,
-            sphere,
-            chief_path,
-            start: (DVec2::ZERO, chief_uv, inverse),
-        };
+        let tracer = Tracer { aimer, sphere, chief_path, start: (DVec2::ZERO, chief_uv, inverse) };
         let rays = tracer.rays(points).ok_or_else(lost)?;
         let edge = tracer.rays(rim).ok_or_else(lost)?;
         Ok(Self {
@@ -243,17 +230,13 @@ impl PupilNodes {
         (0..self.azimuth)
             .flat_map(|a| {
                 let way = DVec2::from_angle(2.0 * PI * (a as f64 + 0.5) / azimuths);
-                radii
-                    .iter()
-                    .map(move |&(x, w)| (way * (0.5 * (1.0 + x)).sqrt(), w * 0.5 * PI / azimuths))
+                radii.iter().map(move |&(x, w)| (way * (0.5 * (1.0 + x)).sqrt(), w * 0.5 * PI / azimuths))
             })
             .collect()
     }
 
     /// Points of the rim at azimuth 2πk/edge.
     pub fn rim(&self) -> Vec<(DVec2, f64)> {
-        (0..self.edge)
-            .map(|k| (DVec2::from_angle(2.0 * PI * k as f64 / self.edge as f64), 0.0))
-            .collect()
+        (0..self.edge).map(|k| (DVec2::from_angle(2.0 * PI * k as f64 / self.edge as f64), 0.0)).collect()
     }
 }

@@ -63,11 +63,6 @@ pub fn in_range(field: &'static str, value: f64, min: f64, max: f64) -> Result<f
     if value >= min && value <= max {
         Ok(value)
     } else {
-        Err(OpticsError::OutOfRange {
-            field,
-            value,
-            min,
-            max,
-        })
+        Err(OpticsError::OutOfRange { field, value, min, max })
     }
 }

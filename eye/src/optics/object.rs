@@ -41,13 +41,9 @@ impl Object {
     /// [`OpticsError::NoDirection`], or [`OpticsError::OutOfRange`] beyond ±0.02/mm (20 D).
     pub fn with_vergence(direction: DVec3, vergence_per_mm: f64) -> Result<Self, OpticsError> {
         in_range("object vergence (1/mm)", vergence_per_mm, -0.0201, 0.0201)?;
-        let direction = direction.try_normalize().ok_or(OpticsError::NoDirection {
-            field: "object direction",
-        })?;
-        Ok(Self {
-            direction,
-            vergence_per_mm,
-        })
+        let direction =
+            direction.try_normalize().ok_or(OpticsError::NoDirection { field: "object direction" })?;
+        Ok(Self { direction, vergence_per_mm })
     }
 
     /// The object at `angle_deg` from the optical axis in the fovea's meridian, seen along (0, sin, cos); vergence in
@@ -62,10 +58,7 @@ impl Object {
 
     /// For callers that have checked both already: unit `direction`, vergence in 1/mm.
     pub(super) fn from_parts(direction: DVec3, vergence_per_mm: f64) -> Self {
-        Self {
-            direction,
-            vergence_per_mm,
-        }
+        Self { direction, vergence_per_mm }
     }
 
     /// Unit direction in which the light passes the corneal apex.
@@ -88,9 +81,7 @@ impl Object {
     pub fn eikonal(&self, p: DVec3) -> (f64, DVec3) {
         let v = self.vergence_per_mm;
         let along = p.dot(self.direction);
-        let root = (1.0 + 2.0 * v * along + v * v * p.length_squared())
-            .max(1e-6)
-            .sqrt();
+        let root = (1.0 + 2.0 * v * along + v * v * p.length_squared()).max(1e-6).sqrt();
         let path = (v * p.length_squared() + 2.0 * along) / (1.0 + root);
         (path, (self.direction + v * p) / root)
     }
@@ -99,9 +90,7 @@ impl Object {
     pub fn irradiance(&self, p: DVec3) -> f64 {
         let v = self.vergence_per_mm;
         let along = p.dot(self.direction);
-        let root = (1.0 + 2.0 * v * along + v * v * p.length_squared())
-            .max(1e-6)
-            .sqrt();
+        let root = (1.0 + 2.0 * v * along + v * v * p.length_squared()).max(1e-6).sqrt();
         (1.0 + v * along) / (root * root * root)
     }
 }

@@ -150,10 +150,8 @@ impl Prescription {
             name: name.to_owned(),
             known: crate::catalog::names("eyes").join(", "),
         })?;
-        let eye: Self = serde_json::from_str(text).map_err(|e| OpticsError::BadData {
-            name: name.to_owned(),
-            reason: e.to_string(),
-        })?;
+        let eye: Self = serde_json::from_str(text)
+            .map_err(|e| OpticsError::BadData { name: name.to_owned(), reason: e.to_string() })?;
         eye.validate()?;
         Ok(eye)
     }
@@ -168,33 +166,16 @@ impl Prescription {
         in_range("lens_front.radius_mm", self.lens_front.radius_mm, 3.0, 60.0)?;
         in_range("lens_back.radius_mm", self.lens_back.radius_mm, -60.0, -3.0)?;
         in_range("retina_radius_mm", self.retina_radius_mm, -20.0, -8.0)?;
-        for s in [
-            self.cornea_front,
-            self.cornea_back,
-            self.lens_front,
-            self.lens_back,
-        ] {
+        for s in [self.cornea_front, self.cornea_back, self.lens_front, self.lens_back] {
             in_range("conic", s.conic, -20.0, 20.0)?;
         }
-        in_range(
-            "cornea_front.thickness_mm",
-            self.cornea_front.thickness_mm,
-            0.1,
-            2.0,
-        )?;
-        in_range(
-            "cornea_back.thickness_mm",
-            self.cornea_back.thickness_mm,
-            1.0,
-            6.0,
-        )?;
+        in_range("cornea_front.thickness_mm", self.cornea_front.thickness_mm, 0.1, 2.0)?;
+        in_range("cornea_back.thickness_mm", self.cornea_back.thickness_mm, 1.0, 6.0)?;
         in_range("lens_front.thickness_mm", self.lens_front.thickness_mm, 1.0, 8.0)?;
         in_range("lens_back.thickness_mm", self.lens_back.thickness_mm, 8.0, 30.0)?;
         let p = &self.polyline;
         let h = &self.herzberger;
-        for index in [
-            p.cornea, p.aqueous, p.lens, p.vitreous, h.cornea, h.aqueous, h.lens, h.vitreous,
-        ] {
+        for index in [p.cornea, p.aqueous, p.lens, p.vitreous, h.cornea, h.aqueous, h.lens, h.vitreous] {
             for n in index {
                 in_range("index", n, 1.2, 1.7)?;
             }
@@ -203,26 +184,11 @@ impl Prescription {
             in_range("polyline.wavelength_nm", pair[1], pair[0] + 1.0, 2000.0)?;
         }
         in_range("herzberger.pole_um", h.pole_um, 0.0, 0.25)?;
-        in_range(
-            "reference_wavelength_nm",
-            self.reference_wavelength_nm,
-            390.0,
-            830.0,
-        )?;
+        in_range("reference_wavelength_nm", self.reference_wavelength_nm, 390.0, 830.0)?;
         in_range("stop_decentre_mm", self.stop_decentre_mm, 0.0, 1.0)?;
         in_range("fovea_angle_deg", self.fovea_angle_deg, 0.0, 15.0)?;
-        in_range(
-            "rotation_centre_behind_apex_mm",
-            self.rotation_centre_behind_apex_mm,
-            5.0,
-            20.0,
-        )?;
-        in_range(
-            "rotation_centre_nasal_mm",
-            self.rotation_centre_nasal_mm,
-            -3.0,
-            3.0,
-        )?;
+        in_range("rotation_centre_behind_apex_mm", self.rotation_centre_behind_apex_mm, 5.0, 20.0)?;
+        in_range("rotation_centre_nasal_mm", self.rotation_centre_nasal_mm, -3.0, 3.0)?;
         Ok(())
     }
 
@@ -238,11 +204,7 @@ impl Prescription {
     /// outside of which neither law has a meaning.
     pub fn indices(&self, dispersion: Dispersion, wavelength_nm: f64) -> [f64; 5] {
         let nm = wavelength_nm.clamp(300.0, 1200.0);
-        let nm = if nm.is_nan() {
-            self.reference_wavelength_nm
-        } else {
-            nm
-        };
+        let nm = if nm.is_nan() { self.reference_wavelength_nm } else { nm };
         match dispersion {
             Dispersion::Polyline => {
                 let p = &self.polyline;

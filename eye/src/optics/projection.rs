@@ -32,12 +32,7 @@ impl Projection {
         in_range("screen distance (mm)", distance_mm, 50.0, f64::INFINITY)?;
         let eye = eye.clone().at_distance(distance_mm)?;
         let axes = eye.view_axes();
-        let mut projection = Self {
-            eye,
-            distance_mm,
-            axes,
-            centre_slope: DMat2::IDENTITY,
-        };
+        let mut projection = Self { eye, distance_mm, axes, centre_slope: DMat2::IDENTITY };
         projection.centre_slope = projection.jacobian_um_per_tangent(DVec2::ZERO)?;
         Ok(projection)
     }
@@ -56,10 +51,7 @@ impl Projection {
     pub fn object(&self, t: DVec2) -> Object {
         let [right, up, forward] = self.axes;
         let slant = 1.0_f64.hypot(t.length());
-        Object::from_parts(
-            (forward - t.x * right - t.y * up) / slant,
-            1.0 / (self.distance_mm * slant),
-        )
+        Object::from_parts((forward - t.x * right - t.y * up) / slant, 1.0 / (self.distance_mm * slant))
     }
 
     /// Where the chief ray from `t` lands: (x_um, y_um).
@@ -69,9 +61,7 @@ impl Projection {
     pub fn retina_um(&self, t: DVec2, wavelength_nm: f64) -> Result<DVec2, OpticsError> {
         let object = self.object(t);
         let chief = self.eye.chief_ray(object, wavelength_nm)?;
-        let landing = chief.landing().ok_or(OpticsError::NoRay {
-            angle_deg: object.angle_deg(),
-        })?;
+        let landing = chief.landing().ok_or(OpticsError::NoRay { angle_deg: object.angle_deg() })?;
         Ok(self.eye.fovea().um_from_point(landing))
     }
 
@@ -85,10 +75,7 @@ impl Projection {
         let column = |e: DVec2| -> Result<DVec2, OpticsError> {
             Ok((self.retina_um(t + e, nm)? - self.retina_um(t - e, nm)?) / (2.0 * h))
         };
-        Ok(DMat2::from_cols(
-            column(DVec2::new(h, 0.0))?,
-            column(DVec2::new(0.0, h))?,
-        ))
+        Ok(DMat2::from_cols(column(DVec2::new(h, 0.0))?, column(DVec2::new(0.0, h))?))
     }
 
     /// The tangent coordinates imaged on (x_um, y_um) at the reference wavelength, to 1e-9 µm.
@@ -96,10 +83,7 @@ impl Projection {
     /// # Errors
     /// [`OpticsError::OutsideField`] when no point of the flat screen is.
     pub fn screen_tangent(&self, um: DVec2) -> Result<DVec2, OpticsError> {
-        let outside = OpticsError::OutsideField {
-            x_um: um.x,
-            y_um: um.y,
-        };
+        let outside = OpticsError::OutsideField { x_um: um.x, y_um: um.y };
         let nm = self.eye.prescription().reference_wavelength_nm;
         if !um.is_finite() {
             return Err(outside);
@@ -107,11 +91,7 @@ impl Projection {
         // Start from the foveal magnification taken as an angle, which bends as the retina does.
         let linear = self.centre_slope.inverse() * um;
         let angle = linear.length().min(1.4);
-        let mut t = if angle > 0.0 {
-            linear.normalize_or_zero() * angle.tan()
-        } else {
-            linear
-        };
+        let mut t = if angle > 0.0 { linear.normalize_or_zero() * angle.tan() } else { linear };
         let mut miss = match self.retina_um(t, nm) {
             Ok(um_at) => um_at - um,
             Err(_) => return Err(outside),
@@ -167,12 +147,8 @@ impl Projection {
 
     pub(super) fn exit_direction_at(&self, t: DVec2) -> Result<DVec3, OpticsError> {
         let object = self.object(t);
-        let chief = self
-            .eye
-            .chief_ray(object, self.eye.prescription().reference_wavelength_nm)?;
-        let landing = chief.landing().ok_or(OpticsError::NoRay {
-            angle_deg: object.angle_deg(),
-        })?;
+        let chief = self.eye.chief_ray(object, self.eye.prescription().reference_wavelength_nm)?;
+        let landing = chief.landing().ok_or(OpticsError::NoRay { angle_deg: object.angle_deg() })?;
         let frame = self.eye.fovea().local_frame(landing);
         Ok(DVec3::from_array(frame.map(|axis| -chief.direction.dot(axis))))
     }

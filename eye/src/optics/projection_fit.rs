@@ -46,10 +46,7 @@ impl ProjectionFit {
                 break;
             }
         }
-        best.ok_or(OpticsError::OutsideField {
-            x_um: min_um.x,
-            y_um: min_um.y,
-        })
+        best.ok_or(OpticsError::OutsideField { x_um: min_um.x, y_um: min_um.y })
     }
 
     fn solve(&mut self, p: &Projection) -> Result<(), OpticsError> {
@@ -124,10 +121,7 @@ impl ProjectionFit {
     /// d t/d(x_um, y_um); columns are the derivatives by x_um and y_um.
     pub fn jacobian_tangent_per_um(&self, um: DVec2) -> DMat2 {
         let [_, x, y] = self.evaluate(um);
-        DMat2::from_cols(
-            DVec2::new(x[0], x[1]) / self.half.x,
-            DVec2::new(y[0], y[1]) / self.half.y,
-        )
+        DMat2::from_cols(DVec2::new(x[0], x[1]) / self.half.x, DVec2::new(y[0], y[1]) / self.half.y)
     }
 
     /// Unit vector towards the exit pupil, as [`Projection::exit_pupil_direction`].

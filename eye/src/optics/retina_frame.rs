@@ -35,14 +35,7 @@ impl Fovea {
         };
         // Nasal completes the frame: towards −y whichever side.
         let nasal = DVec3::new(0.0, -outward.z, outward.y);
-        Self {
-            position,
-            nasal,
-            superior,
-            outward,
-            centre,
-            radius_mm,
-        }
+        Self { position, nasal, superior, outward, centre, radius_mm }
     }
 
     /// Eccentricity (radians of retinal arc) and meridian (radians) of a point of the retina.

@@ -66,23 +66,16 @@ impl SchematicEye {
         in_range("object distance (mm)", distance_mm, 50.0, f64::INFINITY)?;
         let object = Object::field(self.prescription.fovea_angle_deg, 1e3 / distance_mm)?;
         let chief = self.chief_ray(object, self.prescription.reference_wavelength_nm)?;
-        let landing = chief.landing().ok_or(OpticsError::NoRay {
-            angle_deg: self.prescription.fovea_angle_deg,
-        })?;
+        let landing =
+            chief.landing().ok_or(OpticsError::NoRay { angle_deg: self.prescription.fovea_angle_deg })?;
         self.object_distance_mm = distance_mm;
         self.fovea = Fovea::new(landing, self.retina_centre(), self.state.side);
         Ok(self)
     }
 
     fn relaxed_magnification(p: &Prescription, s: &EyeState) -> f64 {
-        let relaxed = EyeState {
-            accommodation_a: 0.0,
-            dispersion: Dispersion::Polyline,
-            ..*s
-        };
-        Self::build(p, &relaxed, 1.0, 1.0)
-            .cardinal(p.reference_wavelength_nm)
-            .stop_magnification
+        let relaxed = EyeState { accommodation_a: 0.0, dispersion: Dispersion::Polyline, ..*s };
+        Self::build(p, &relaxed, 1.0, 1.0).cardinal(p.reference_wavelength_nm).stop_magnification
     }
 
     fn build(p: &Prescription, s: &EyeState, stop_radius_mm: f64, stop_magnification: f64) -> Self {
@@ -92,11 +85,7 @@ impl SchematicEye {
         let length = p.axial_length_mm();
         let stop_z = cornea + depth;
         let back_z = stop_z + lens_thickness;
-        let conic = |vertex_z, radius, conic| Conic {
-            vertex_z,
-            radius,
-            conic,
-        };
+        let conic = |vertex_z, radius, conic| Conic { vertex_z, radius, conic };
         let surfaces = [
             conic(0.0, p.cornea_front.radius_mm, p.cornea_front.conic),
             conic(cornea, p.cornea_back.radius_mm, p.cornea_back.conic),

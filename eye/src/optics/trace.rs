@@ -78,11 +78,7 @@ pub struct Traced {
 impl Traced {
     /// Where it lands on the retina, if it does and the iris lets it.
     pub fn landing(&self) -> Option<DVec3> {
-        if self.fate == RayFate::Arrived {
-            self.hits[4]
-        } else {
-            None
-        }
+        if self.fate == RayFate::Arrived { self.hits[4] } else { None }
     }
 }
 
@@ -142,12 +138,7 @@ impl SchematicEye {
         let (mut point, mut direction) = (ray.origin, ray.direction);
         for (k, surface) in self.surfaces.iter().enumerate().take(2) {
             point += surface.hit(point, direction)? * direction;
-            direction = refract(
-                direction,
-                surface.normal_against(point, direction),
-                n[k],
-                n[k + 1],
-            )?;
+            direction = refract(direction, surface.normal_against(point, direction), n[k], n[k + 1])?;
         }
         let s = self.cross_stop(point, direction)?;
         Some(DVec2::new(s.x, s.y + self.state.decentre_mm))

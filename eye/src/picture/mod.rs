@@ -44,11 +44,7 @@ impl View {
     /// When the side is 0 or above [`MAX_SIDE_PX`].
     pub fn new(shapes: &ConeShapes, side_px: u32) -> Result<Self, RangeError> {
         if side_px == 0 || side_px > MAX_SIDE_PX {
-            return Err(RangeError::new(
-                "side_px",
-                side_px,
-                &format!("1 to {MAX_SIDE_PX}"),
-            ));
+            return Err(RangeError::new("side_px", side_px, &format!("1 to {MAX_SIDE_PX}")));
         }
         let (mut min, mut max) = ([f32::MAX; 2], [f32::MIN; 2]);
         for corner in &shapes.corners {
@@ -68,22 +64,14 @@ impl View {
             let corners = &shapes.corners[shapes.start[cone] as usize..shapes.start[cone + 1] as usize];
             // Up in the visual field is down on the retina, so +y_um runs down the picture.
             let sample = |c: &[f32; 2]| {
-                let x = if shapes.mirrored {
-                    max[0] - c[0]
-                } else {
-                    c[0] - min[0]
-                };
+                let x = if shapes.mirrored { max[0] - c[0] } else { c[0] - min[0] };
                 [2.0 * x * per_um, 2.0 * (c[1] - min[1]) * per_um]
             };
             raster::fill(corners.iter().map(sample), 2 * size[0], 2 * size[1], |at| {
-                owners[at] = cone as u32 + 1
+                owners[at] = cone as u32 + 1;
             });
         }
-        Ok(Self {
-            width: size[0],
-            height: size[1],
-            owners,
-        })
+        Ok(Self { width: size[0], height: size[1], owners })
     }
 
     /// A PNG of one frame; `counts` by cone.
@@ -111,11 +99,8 @@ impl View {
 
 /// Linear colours of the cones: count per area over the brightest, balanced and tinted by type.
 fn colours(shapes: &ConeShapes, counts: &[f64]) -> Vec<[f32; 3]> {
-    let mut light: Vec<f64> = counts
-        .iter()
-        .zip(&shapes.aperture_um2)
-        .map(|(n, area)| n / f64::from(*area).max(1e-9))
-        .collect();
+    let mut light: Vec<f64> =
+        counts.iter().zip(&shapes.aperture_um2).map(|(n, area)| n / f64::from(*area).max(1e-9)).collect();
     let mut sums = [(0.0, 0_u32); 3];
     for (value, kind) in light.iter().zip(&shapes.cone_type) {
         let sum = &mut sums[usize::from(*kind).min(2)];
@@ -142,11 +127,7 @@ fn colours(shapes: &ConeShapes, counts: &[f64]) -> Vec<[f32; 3]> {
 
 fn encode_srgb(light: f32) -> u8 {
     let light = light.clamp(0.0, 1.0);
-    let value = if light <= 0.003_130_8 {
-        12.92 * light
-    } else {
-        1.055 * light.powf(1.0 / 2.4) - 0.055
-    };
+    let value = if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
     (value * 255.0 + 0.5) as u8
 }
 
@@ -170,15 +151,9 @@ mod tests {
 
     /// Four squares; the bright one is at +x, +y of the retina.
     fn squares(mirrored: bool) -> ConeShapes {
-        let mut shapes = ConeShapes {
-            start: vec![0],
-            mirrored,
-            ..ConeShapes::default()
-        };
+        let mut shapes = ConeShapes { start: vec![0], mirrored, ..ConeShapes::default() };
         for (x, y) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
-            shapes
-                .corners
-                .extend([[x, y], [x + 1.0, y], [x + 1.0, y + 1.0], [x, y + 1.0]]);
+            shapes.corners.extend([[x, y], [x + 1.0, y], [x + 1.0, y + 1.0], [x, y + 1.0]]);
             shapes.start.push(shapes.corners.len() as u32);
             shapes.cone_type.push(0);
             shapes.aperture_um2.push(1.0);
@@ -193,10 +168,7 @@ mod tests {
         assert_eq!((picture.width, picture.height), (8, 8));
         let at = |column: usize, row: usize| picture.rgb[3 * (8 * row + column)];
         let corners = [(1, 1), (6, 1), (1, 6), (6, 6)];
-        let best = corners
-            .into_iter()
-            .max_by(|a, b| at(a.0, a.1).total_cmp(&at(b.0, b.1)))
-            .unwrap();
+        let best = corners.into_iter().max_by(|a, b| at(a.0, a.1).total_cmp(&at(b.0, b.1))).unwrap();
         (best.0 > 4, best.1 > 4)
     }
 
@@ -208,10 +180,7 @@ mod tests {
 
     #[test]
     fn no_cones_give_a_black_picture() {
-        let none = ConeShapes {
-            start: vec![0],
-            ..ConeShapes::default()
-        };
+        let none = ConeShapes { start: vec![0], ..ConeShapes::default() };
         assert!(View::new(&none, 16).unwrap().png(&none, &[]).is_ok());
         assert!(View::new(&none, 0).is_err());
     }

@@ -8,10 +8,7 @@ use crate::experiment::Experiment;
 /// The parts of the estimate.
 pub fn estimate(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -> Vec<ErrorPart> {
     let target = experiment.accuracy_target;
-    let part = |part: &str, relative: f64| ErrorPart {
-        part: part.into(),
-        relative,
-    };
+    let part = |part: &str, relative: f64| ErrorPart { part: part.into(), relative };
     let half_deg = super::half_side_deg(setup);
     let nodes = f64::from(super::field_nodes(experiment, setup)[0]);
     // Measured at 3 mm: snapping the spread by half a degree costs 8e-3; interpolation over n nodes gains the n-th power of the
@@ -26,11 +23,7 @@ pub fn estimate(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelength
         part("period", guard),
         part(
             "band limit",
-            if setup.scene.band < super::setup::cutoff(experiment) {
-                0.15 * target
-            } else {
-                1e-6
-            },
+            if setup.scene.band < super::setup::cutoff(experiment) { 0.15 * target } else { 1e-6 },
         ),
     ]
 }

@@ -126,56 +126,15 @@ pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
     let setup = setup::setup(experiment)?;
     let emitters = emitters(&experiment.display).map_err(PlanError::Model)?;
     let absorbers = Absorbers {
-        media: Media::new(
-            experiment.eye.lens_density_scale,
-            experiment.eye.macular_peak_density,
-        )
-        .map_err(PlanError::Model)?,
+        media: Media::new(experiment.eye.lens_density_scale, experiment.eye.macular_peak_density)
+            .map_err(PlanError::Model)?,
         pigments: Pigments::new().map_err(PlanError::Model)?,
     };
     let tail = WAVELENGTH_TAIL * experiment.accuracy_target;
     let wavelengths = wavelengths::choose(experiment, &emitters, &absorbers, tail);
     let kernels = kernel_spec(experiment, &setup, wavelengths.nodes_nm.clone());
     let cost = cost::predict(experiment, &setup, &kernels);
-    let key = |spec: &ArtifactSpec| spec.key().map_err(|e| PlanError::Model(e.to_string()));
-
-    // The mosaic's tiles, the cones put together from them, the kernels.
-    let mut artifacts = Vec::new();
-    let tiles = tiles_for(&setup.region);
-    for tile in &tiles {
-        let spec = ArtifactSpec::RetinaTile {
-            params: setup.retina.clone(),
-            tile: *tile,
-        };
-        let seconds = cost.tiles_seconds / tiles.len() as f64;
-        let bytes = cost.tiles_bytes / tiles.len() as f64;
-        artifacts.push(PlannedArtifact {
-            key: key(&spec)?,
-            inputs: Vec::new(),
-            spec,
-            predicted_seconds: seconds,
-            predicted_bytes: bytes,
-        });
-    }
-    let inputs: Vec<Digest> = artifacts.iter().map(|a| a.key).collect();
-    let cones = ArtifactSpec::Cones {
-        tiles: inputs.clone(),
-        region: setup.region,
-    };
-    let kernels_spec = ArtifactSpec::Kernels(Box::new(kernels));
-    let tile_artifacts = vec![vec![key(&cones)?, key(&kernels_spec)?]];
-    for (spec, inputs, seconds, bytes) in [
-        (cones, inputs, 0.02 * cost.tiles_seconds, cost.cones_bytes),
-        (kernels_spec, Vec::new(), cost.kernel_seconds, cost.kernel_bytes),
-    ] {
-        artifacts.push(PlannedArtifact {
-            key: key(&spec)?,
-            spec,
-            inputs,
-            predicted_seconds: seconds,
-            predicted_bytes: bytes,
-        });
-    }
+    let (artifacts, tile_artifacts) = artifacts(&setup, kernels, &cost)?;
     let shards = (0..experiment.frames)
         .step_by(SHARD_FRAMES as usize)
         .map(|first| Shard {
@@ -205,6 +164,40 @@ pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
     })
 }
 
+/// The mosaic's tiles, the cones put together from them, the kernels; and what a shard needs of them.
+fn artifacts(
+    setup: &Setup,
+    kernels: KernelSpec,
+    cost: &cost::Cost,
+) -> Result<(Vec<PlannedArtifact>, Vec<Vec<Digest>>), PlanError> {
+    let planned = |spec: ArtifactSpec, predicted_seconds: f64, predicted_bytes: f64| {
+        let key = spec.key().map_err(|e| PlanError::Model(e.to_string()))?;
+        Ok::<_, PlanError>(PlannedArtifact {
+            key,
+            inputs: spec.inputs(),
+            spec,
+            predicted_seconds,
+            predicted_bytes,
+        })
+    };
+    let tiles = tiles_for(&setup.region);
+    let count = tiles.len() as f64;
+    let mut artifacts = tiles
+        .into_iter()
+        .map(|tile| {
+            let spec = ArtifactSpec::RetinaTile { params: setup.retina.clone(), tile };
+            planned(spec, cost.tiles_seconds / count, cost.tiles_bytes / count)
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let tiles = artifacts.iter().map(|a| a.key).collect();
+    let cones = ArtifactSpec::Cones { tiles, region: setup.region };
+    let cones = planned(cones, 0.02 * cost.tiles_seconds, cost.cones_bytes)?;
+    let kernels = planned(ArtifactSpec::Kernels(Box::new(kernels)), cost.kernel_seconds, cost.kernel_bytes)?;
+    let needed = vec![vec![cones.key, kernels.key]];
+    artifacts.extend([cones, kernels]);
+    Ok((artifacts, needed))
+}
+
 /// Half of the longer side of the patch, visual degrees about.
 fn half_side_deg(setup: &Setup) -> f64 {
     0.5 * (setup.region.max - setup.region.min).max_element() / setup::UM_PER_TANGENT * 180.0
@@ -223,14 +216,10 @@ fn field_nodes(experiment: &Experiment, setup: &Setup) -> [u32; 2] {
 }
 
 fn kernel_spec(experiment: &Experiment, setup: &Setup, nodes_nm: Vec<f64>) -> KernelSpec {
-    let farthest = [
-        setup.region.min,
-        setup.region.max,
-        DVec2::new(setup.region.min.x, setup.region.max.y),
-    ]
-    .iter()
-    .map(|corner| corner.length())
-    .fold(0.0, f64::max);
+    let farthest = [setup.region.min, setup.region.max, DVec2::new(setup.region.min.x, setup.region.max.y)]
+        .iter()
+        .map(|corner| corner.length())
+        .fold(0.0, f64::max);
     let ecc_max = farthest / setup::UM_PER_TANGENT * 180.0 / std::f64::consts::PI;
     let nearest = DVec2::ZERO.clamp(setup.region.min, setup.region.max).length();
     let ecc_min = nearest / setup::UM_PER_TANGENT * 180.0 / std::f64::consts::PI;
@@ -244,12 +233,7 @@ fn kernel_spec(experiment: &Experiment, setup: &Setup, nodes_nm: Vec<f64>) -> Ke
         ecc_deg: [ecc_min, ecc_max],
         ecc_nodes: if experiment.accuracy_target < 5e-4 { 4 } else { 3 },
         nodes_nm,
-        primaries: experiment
-            .display
-            .primaries
-            .iter()
-            .map(|p| p.spectrum.clone())
-            .collect(),
+        primaries: experiment.display.primaries.iter().map(|p| p.spectrum.clone()).collect(),
         lens_density_scale: experiment.eye.lens_density_scale,
         macular_peak_density: experiment.eye.macular_peak_density,
         stiles_crawford_rho10_per_mm2: experiment.eye.stiles_crawford_rho10_per_mm2,

@@ -33,10 +33,7 @@ pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -
         ),
         omission(
             "copies of the picture beyond the guard distance",
-            &format!(
-                "the image is periodic; the nearest copy is {:.0} µm from any cone",
-                setup.guard_um
-            ),
+            &format!("the image is periodic; the nearest copy is {:.0} µm from any cone", setup.guard_um),
             0.5 * TAIL_UM * 3.0 / experiment.eye.pupil_mm / setup.guard_um,
         ),
         omission(
@@ -44,11 +41,7 @@ pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -
             "scattered light is thrown away, as in §19; it would add a faint veil over the whole field",
             0.1,
         ),
-        omission(
-            "bleaching",
-            "pigments are taken as unbleached, as in §20",
-            bleached(experiment),
-        ),
+        omission("bleaching", "pigments are taken as unbleached, as in §20", bleached(experiment)),
     ];
     let cutoff = super::setup::cutoff(experiment);
     if setup.scene.band < cutoff {
@@ -61,16 +54,12 @@ pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -
     }
     let still = match experiment.gaze.movement {
         Movement::Still => true,
-        Movement::Drift {
-            speed_arcmin_per_s, ..
-        } => speed_arcmin_per_s <= 0.0,
+        Movement::Drift { speed_arcmin_per_s, .. } => speed_arcmin_per_s <= 0.0,
     };
     if still {
         list.push(omission("motion blur", "the eye does not move", 0.0));
     }
-    let nearest = glam::DVec2::ZERO
-        .clamp(setup.region.min, setup.region.max)
-        .length();
+    let nearest = glam::DVec2::ZERO.clamp(setup.region.min, setup.region.max).length();
     if nearest / super::setup::UM_PER_TANGENT > MACULA_EDGE_DEG.to_radians() {
         list.push(omission("macular pigment", "the patch lies beyond its edge", 0.0));
     }
@@ -86,11 +75,7 @@ pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -
 }
 
 fn omission(what: &str, why: &str, bound: f64) -> Omission {
-    Omission {
-        what: what.into(),
-        why: why.into(),
-        bound,
-    }
+    Omission { what: what.into(), why: why.into(), bound }
 }
 
 fn range(nm: &[f64]) -> String {

@@ -55,11 +55,7 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     let sight_end = gaze.screen_tangent(seconds);
     let sight = [DVec2::ZERO.min(sight_end), DVec2::ZERO.max(sight_end)];
     let region = region(experiment, &projection, sight)?;
-    let guard_um = if experiment.accuracy_target >= 0.005 {
-        150.0
-    } else {
-        300.0
-    };
+    let guard_um = if experiment.accuracy_target >= 0.005 { 150.0 } else { 300.0 };
     let needs = SceneNeeds {
         centre_px: DVec2::from_array(experiment.gaze.center_px),
         cones: screen_bounds(&projection, &region)?,
@@ -73,16 +69,7 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
         RangeError::new("retina.region_deg", "the scene", &allowed)
     })?;
     let retina = retina_params(experiment, &projection)?;
-    Ok(Setup {
-        prescription,
-        state,
-        projection,
-        gaze,
-        region,
-        scene,
-        retina,
-        guard_um,
-    })
+    Ok(Setup { prescription, state, projection, gaze, region, scene, retina, guard_um })
 }
 
 fn retina_params(experiment: &Experiment, _projection: &Projection) -> Result<RetinaParams, PlanError> {
@@ -146,23 +133,14 @@ fn region(
 ) -> Result<RegionUm, PlanError> {
     let tangent = |deg: f64| deg.to_radians().tan();
     let (corners, margin) = if let Some([x0, x1, y0, y1]) = experiment.retina.region_deg {
-        (
-            [
-                DVec2::new(tangent(x0), tangent(y0)),
-                DVec2::new(tangent(x1), tangent(y1)),
-            ],
-            0.0,
-        )
+        ([DVec2::new(tangent(x0), tangent(y0)), DVec2::new(tangent(x1), tangent(y1))], 0.0)
     } else {
         let display = &experiment.display;
         let per_px = display.pixel_pitch_cm / display.distance_cm;
         let size = DVec2::new(f64::from(display.width_px), f64::from(display.height_px));
         let centre = DVec2::from_array(experiment.gaze.center_px);
         let (from, to) = (-centre * per_px, (size - centre) * per_px);
-        let picture = [
-            DVec2::new(from.x, -to.y) - sight[1],
-            DVec2::new(to.x, -from.y) - sight[0],
-        ];
+        let picture = [DVec2::new(from.x, -to.y) - sight[1], DVec2::new(to.x, -from.y) - sight[0]];
         (picture, MARGIN_UM)
     };
     let most = tangent(MAX_REGION_DEG);
@@ -176,15 +154,10 @@ fn region(
     }
     let (mut min, mut max) = (DVec2::MAX, DVec2::MIN);
     for t in edge_points(corners) {
-        let um = projection
-            .retina_um(t, 543.0)
-            .map_err(|e| PlanError::Model(e.to_string()))?;
+        let um = projection.retina_um(t, 543.0).map_err(|e| PlanError::Model(e.to_string()))?;
         (min, max) = (min.min(um), max.max(um));
     }
-    Ok(RegionUm {
-        min: min - margin,
-        max: max + margin,
-    })
+    Ok(RegionUm { min: min - margin, max: max + margin })
 }
 
 /// Rectangle of the screen that holds everything imaged on a patch and on the apertures that stick out of it.
@@ -192,9 +165,7 @@ fn screen_bounds(projection: &Projection, region: &RegionUm) -> Result<[DVec2; 2
     const APERTURES_UM: f64 = 8.0;
     let (mut min, mut max) = (DVec2::MAX, DVec2::MIN);
     for um in edge_points([region.min - APERTURES_UM, region.max + APERTURES_UM]) {
-        let t = projection
-            .screen_tangent(um)
-            .map_err(|e| PlanError::Model(e.to_string()))?;
+        let t = projection.screen_tangent(um).map_err(|e| PlanError::Model(e.to_string()))?;
         (min, max) = (min.min(t), max.max(t));
     }
     Ok([min, max])

@@ -22,18 +22,12 @@ pub fn choose(
     absorbers: &Absorbers,
     tail: f64,
 ) -> Wavelengths {
-    let step_nm = experiment
-        .counts
-        .wavelength_step_nm
-        .unwrap_or(match experiment.accuracy_target {
-            t if t >= 5e-3 => 10.0,
-            t if t >= 5e-4 => 5.0,
-            _ => 2.5,
-        });
-    let paths = Paths {
-        cornea: 1.0,
-        lens: 1.0,
-    };
+    let step_nm = experiment.counts.wavelength_step_nm.unwrap_or(match experiment.accuracy_target {
+        t if t >= 5e-3 => 10.0,
+        t if t >= 5e-4 => 5.0,
+        _ => 2.5,
+    });
+    let paths = Paths { cornea: 1.0, lens: 1.0 };
     // Share of the catch of each cone type from each primary, by wavelength; the largest over both decides.
     let mut catches: Vec<(f64, f64)> = Vec::new();
     for emitter in emitters {
@@ -51,10 +45,7 @@ pub fn choose(
         let totals: Vec<f64> = per_kind.iter().map(|c: &Vec<f64>| c.iter().sum()).collect();
         let most = totals.iter().copied().fold(0.0, f64::max);
         for (i, photon) in emitter.photons.iter().enumerate() {
-            let seen = per_kind
-                .iter()
-                .zip(&totals)
-                .filter(|(_, total)| **total > 1e-4 * most);
+            let seen = per_kind.iter().zip(&totals).filter(|(_, total)| **total > 1e-4 * most);
             let share = seen.map(|(c, total)| c[i] / total).fold(0.0, f64::max);
             catches.push((photon.nm, share));
         }
@@ -74,9 +65,5 @@ pub fn choose(
         - cut(&mut catches.iter().rev().map(|c| c.1)).min(catches.len().saturating_sub(from + 1));
     let outside = catches[..from].iter().chain(&catches[to..]).map(|c| c.1).sum();
     let lit = catches[from.min(to)..to].iter().map(|c| c.0).collect();
-    Wavelengths {
-        nodes_nm: wavelength_nodes(lit, step_nm),
-        outside,
-        step_nm,
-    }
+    Wavelengths { nodes_nm: wavelength_nodes(lit, step_nm), outside, step_nm }
 }

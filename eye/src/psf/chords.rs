@@ -37,11 +37,8 @@ impl Chords {
         let bottom = extreme(outline, s1.y.atan2(c1.y) + PI);
         let (y_top, y_bottom) = (outline.at(top)[0].y, outline.at(bottom)[0].y);
         let (middle, half) = (f64::midpoint(y_top, y_bottom), (y_top - y_bottom) / 2.0);
-        let way = if outline.at(top - FRAC_PI_2)[0].x > outline.at(top + FRAC_PI_2)[0].x {
-            1.0
-        } else {
-            -1.0
-        };
+        let way =
+            if outline.at(top - FRAC_PI_2)[0].x > outline.at(top + FRAC_PI_2)[0].x { 1.0 } else { -1.0 };
         let rise = (way * (top - bottom)).rem_euclid(TAU);
         // x at parameters τ half a step off the top and bottom, where α(τ) is solved well.
         let n = (4 * (outline.harmonics.len() + 1)).clamp(12, 256);
@@ -51,16 +48,9 @@ impl Chords {
                 let tau = (k as f64 + 0.5) * step - FRAC_PI_2;
                 // The right branch runs from the bottom up to the top, the left one on down to the bottom.
                 let right = tau < FRAC_PI_2;
-                let (from, to) = if right {
-                    (top - way * rise, top)
-                } else {
-                    (top, top + way * (TAU - rise))
-                };
-                let part = if right {
-                    (tau + FRAC_PI_2) / PI
-                } else {
-                    (tau - FRAC_PI_2) / PI
-                };
+                let (from, to) =
+                    if right { (top - way * rise, top) } else { (top, top + way * (TAU - rise)) };
+                let part = if right { (tau + FRAC_PI_2) / PI } else { (tau - FRAC_PI_2) / PI };
                 let alpha = crossing(outline, from, to, part, middle + half * tau.sin());
                 outline.at(alpha)[0].x
             })

@@ -41,11 +41,7 @@ pub fn psf(
     options: &HuygensOptions,
     grid: &PsfGrid,
 ) -> Result<Vec<f64>, OpticsError> {
-    let nodes = PupilNodes {
-        radial: options.radial,
-        azimuth: options.azimuth,
-        edge: 0,
-    };
+    let nodes = PupilNodes { radial: options.radial, azimuth: options.azimuth, edge: 0 };
     let points = nodes.points();
     let bundle = PupilBundle::trace_points(eye, object, wavelength_nm, &points, &[])?;
     let weights = weights(eye, object, &bundle, wavefront)?;
@@ -58,11 +54,7 @@ pub fn psf(
         let xi = grid.centre_um + grid.offset(index / n) * e_i + grid.offset(index % n) * e_j;
         let (mut re, mut im) = (0.0, 0.0);
         for (ray, weight) in bundle.rays.iter().zip(&weights) {
-            let distance = if options.exact_distance {
-                farther(ray, xi, radius_um)
-            } else {
-                -ray.q.dot(xi)
-            };
+            let distance = if options.exact_distance { farther(ray, xi, radius_um) } else { -ray.q.dot(xi) };
             let (sin, cos) = (TAU * (ray.opd_mm * 1e3 + distance) / wavelength_um).sin_cos();
             re += weight * cos;
             im += weight * sin;
@@ -94,21 +86,12 @@ fn weights(
         .collect();
     if options.amplitude == Amplitude::Flux {
         let around = [DVec2::X, DVec2::NEG_X, DVec2::Y, DVec2::NEG_Y];
-        let points: Vec<(DVec2, f64)> = bundle
-            .rays
-            .iter()
-            .flat_map(|r| around.map(|e| (r.stop + STEP * e, 0.0)))
-            .collect();
+        let points: Vec<(DVec2, f64)> =
+            bundle.rays.iter().flat_map(|r| around.map(|e| (r.stop + STEP * e, 0.0))).collect();
         let near = PupilBundle::trace_points(eye, object, bundle.wavelength_nm, &points, &[])?;
-        for ((weight, ray), n) in weights
-            .iter_mut()
-            .zip(&bundle.rays)
-            .zip(near.rays.chunks_exact(4))
-        {
+        for ((weight, ray), n) in weights.iter_mut().zip(&bundle.rays).zip(near.rays.chunks_exact(4)) {
             let area = |f: fn(&PupilRay) -> DVec2| {
-                ((f(&n[0]) - f(&n[1])) / (2.0 * STEP))
-                    .perp_dot((f(&n[2]) - f(&n[3])) / (2.0 * STEP))
-                    .abs()
+                ((f(&n[0]) - f(&n[1])) / (2.0 * STEP)).perp_dot((f(&n[2]) - f(&n[3])) / (2.0 * STEP)).abs()
             };
             *weight *= (ray.irradiance * area(|r| r.launch) * area(|r| r.q)).sqrt();
         }

@@ -36,13 +36,7 @@ impl LeastSquares {
                 reflect(v, squares[k], &mut other[k..]);
             }
         }
-        Self {
-            degree,
-            roots,
-            columns,
-            squares,
-            diagonal,
-        }
+        Self { degree, roots, columns, squares, diagonal }
     }
 
     /// The polynomial nearest to one value a point. A column that adds nothing gets coefficient 0.
@@ -52,11 +46,7 @@ impl LeastSquares {
         side.resize(m, 0.0);
         let used = n.min(m);
         for k in 0..used {
-            reflect(
-                &self.columns[k * m + k..(k + 1) * m],
-                self.squares[k],
-                &mut side[k..],
-            );
+            reflect(&self.columns[k * m + k..(k + 1) * m], self.squares[k], &mut side[k..]);
         }
         // Solve the triangle backwards, column by column.
         let least = 1e-13 * self.diagonal.iter().fold(0.0_f64, |a, d| a.max(d.abs()));
@@ -87,12 +77,7 @@ fn reflect(v: &[f64], square: f64, other: &mut [f64]) {
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut lanes = [0.0; 4];
     let (ca, cb) = (a.chunks_exact(4), b.chunks_exact(4));
-    let tail: f64 = ca
-        .remainder()
-        .iter()
-        .zip(cb.remainder())
-        .map(|(x, y)| x * y)
-        .sum();
+    let tail: f64 = ca.remainder().iter().zip(cb.remainder()).map(|(x, y)| x * y).sum();
     for (x, y) in ca.zip(cb) {
         for l in 0..4 {
             lanes[l] += x[l] * y[l];

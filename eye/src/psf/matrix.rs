@@ -45,13 +45,7 @@ pub struct PsfGrid {
 impl PsfGrid {
     /// A grid about the landing point of the chief ray, first index away from the optical axis.
     pub fn new(samples: usize, half_width_um: f64) -> Self {
-        Self {
-            samples,
-            half_width_um,
-            centre_um: DVec2::ZERO,
-            axes: GridAxes::Meridional,
-            nodes: None,
-        }
+        Self { samples, half_width_um, centre_um: DVec2::ZERO, axes: GridAxes::Meridional, nodes: None }
     }
 
     /// Distance of two samples, µm.
@@ -77,11 +71,7 @@ impl PsfGrid {
 /// Nodes per diameter for a pupil of half-width `half` (direction cosines) and rays that land up to `reach_um` away.
 pub fn nodes_needed(half: f64, wavelength_um: f64, reach_um: f64) -> usize {
     let half_omega = PI * half / wavelength_um * reach_um;
-    let nodes = if half_omega < 60.0 {
-        0.95 * half_omega + 9.0
-    } else {
-        1.05 * half_omega + 12.0
-    };
+    let nodes = if half_omega < 60.0 { 0.95 * half_omega + 9.0 } else { 1.05 * half_omega + 12.0 };
     (nodes.ceil() as usize).clamp(8, 4096)
 }
 
@@ -98,23 +88,14 @@ struct Strip {
 pub fn psf(w: &Wavefront, grid: &PsfGrid) -> Vec<f64> {
     let n = grid.samples.min(8192);
     let strips = strips(w, grid, n.div_ceil(2));
-    let across: Vec<Vec<(f64, f64)>> = strips
-        .iter()
-        .map(|s| exponentials(s.turns_per_um, grid, n))
-        .collect();
+    let across: Vec<Vec<(f64, f64)>> = strips.iter().map(|s| exponentials(s.turns_per_um, grid, n)).collect();
     let norm = w.amplitude_sum * w.axes.determinant().abs();
     let scale = 1.0 / (norm * norm);
     let mut out = vec![0.0; n * n];
     for i in 0..n {
         // Row i: offset +ξ for the upper half of the rows, −ξ for the lower.
-        let h = if 2 * i >= n {
-            i - n / 2
-        } else {
-            (n - 1 - i) - n / 2
-        };
-        let fields = strips
-            .iter()
-            .map(|s| if 2 * i >= n { s.plus[h] } else { s.minus[h] });
+        let h = if 2 * i >= n { i - n / 2 } else { (n - 1 - i) - n / 2 };
+        let fields = strips.iter().map(|s| if 2 * i >= n { s.plus[h] } else { s.minus[h] });
         write_row(&mut out[i * n..(i + 1) * n], fields, &across, scale);
     }
     out
@@ -147,9 +128,7 @@ fn write_row(
 
 /// (sin, cos) of 2π·turns·ξ at the offsets from the middle up.
 fn exponentials(turns_per_um: f64, grid: &PsfGrid, n: usize) -> Vec<(f64, f64)> {
-    (n / 2..n)
-        .map(|i| sin_cos_turns(turns_per_um * grid.offset(i)))
-        .collect()
+    (n / 2..n).map(|i| sin_cos_turns(turns_per_um * grid.offset(i))).collect()
 }
 
 fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> Vec<Strip> {
@@ -167,10 +146,7 @@ fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> Vec<Strip> {
         .map(|s| (pull * DVec2::new(gx.at(s), gy.at(s)) - grid.centre_um).length())
         .fold(0.0, f64::max);
     let reach = spot + std::f64::consts::SQRT_2 * grid.half_width_um;
-    let count = |half: f64| {
-        grid.nodes
-            .unwrap_or_else(|| nodes_needed(half, wavelength, reach))
-    };
+    let count = |half: f64| grid.nodes.unwrap_or_else(|| nodes_needed(half, wavelength, reach));
     let outer = chords.rule(count(chords.half_height()));
     let inner = gauss_legendre(count(chords.longest().1 / 2.0));
     let turns = w.opd_um.scaled(1.0 / wavelength);
@@ -207,10 +183,7 @@ fn accumulate(sums: &mut [[f64; 4]], re: f64, im: f64, turns_per_um: f64, grid: 
             sum[1] += im * *sin;
             sum[2] += im * *cos;
             sum[3] += re * *sin;
-            (*sin, *cos) = (
-                *sin * step_cos + *cos * step_sin,
-                *cos * step_cos - *sin * step_sin,
-            );
+            (*sin, *cos) = (*sin * step_cos + *cos * step_sin, *cos * step_cos - *sin * step_sin);
         }
     }
 }

@@ -73,16 +73,12 @@ impl Otf {
         let turns = w.opd_um.scaled(1.0 / w.wavelength_um());
         let [gx, gy] = turns.gradient();
         let ([xx, xy], [_, yy]) = (gx.gradient(), gy.gradient());
-        let bends = w
-            .samples()
-            .map(|s| DMat2::from_cols_array(&[xx.at(s), xy.at(s), xy.at(s), yy.at(s)]))
-            .collect();
+        let bends =
+            w.samples().map(|s| DMat2::from_cols_array(&[xx.at(s), xy.at(s), xy.at(s), yy.at(s)])).collect();
         let (least, most) = w
             .samples()
             .map(|s| w.amplitude.at(s))
-            .fold((f64::MAX, 0.0_f64), |(least, most), a| {
-                (least.min(a), most.max(a))
-            });
+            .fold((f64::MAX, 0.0_f64), |(least, most), a| (least.min(a), most.max(a)));
         Self {
             wavelength_um: w.wavelength_um(),
             pupil_from_cosines: w.axes.inverse(),
@@ -91,11 +87,7 @@ impl Otf {
             outline: w.outline.clone(),
             energy: w.energy_open,
             throughput: w.throughput(),
-            fading: if most > 0.0 {
-                10.0 * (1.0 - least.max(0.0) / most)
-            } else {
-                0.0
-            },
+            fading: if most > 0.0 { 10.0 * (1.0 - least.max(0.0) / most) } else { 0.0 },
             bends,
             margin: 1.0,
         }
@@ -115,10 +107,7 @@ impl Otf {
             return Complex64::ZERO;
         }
         let direction = nu_cycles_per_um.y.atan2(nu_cycles_per_um.x);
-        self.radial(direction, &[length])
-            .first()
-            .copied()
-            .unwrap_or(Complex64::ZERO)
+        self.radial(direction, &[length]).first().copied().unwrap_or(Complex64::ZERO)
     }
 
     /// The values at frequencies `nus` (cycles/µm; a negative one lies the other way) along one direction, radians from
@@ -149,12 +138,7 @@ impl Otf {
         let chords = Chords::new(&self.outline.mapped(DMat2::from_angle(-angle), DVec2::ZERO));
         let (peak, longest) = chords.longest();
         let (a, b) = (DVec2::from_angle(angle), DVec2::from_angle(angle).perp());
-        let largest = |v: DVec2| {
-            self.bends
-                .iter()
-                .map(|m| (*m * a).dot(v).abs())
-                .fold(0.0, f64::max)
-        };
+        let largest = |v: DVec2| self.bends.iter().map(|m| (*m * a).dot(v).abs()).fold(0.0, f64::max);
         let turned = Turned {
             bend_along: largest(a),
             bend_across: largest(b),
@@ -196,10 +180,8 @@ impl Otf {
         };
         let mut turns = [0.0; 24];
         let mut amplitude = [0.0; 24];
-        let (turns, amplitude) = (
-            &mut turns[..=t.turns.degree().min(23)],
-            &mut amplitude[..=t.amplitude.degree().min(23)],
-        );
+        let (turns, amplitude) =
+            (&mut turns[..=t.turns.degree().min(23)], &mut amplitude[..=t.amplitude.degree().min(23)]);
         let (mut re, mut im) = (0.0, 0.0);
         for &(u, wu) in outer {
             let chord = t.chords.at(tau_mid + tau_half * u);
@@ -239,10 +221,7 @@ impl Turned {
                 along = along.max((phase[k] - phase[k - 1]).abs());
             }
             if j > 0 {
-                across = phase
-                    .iter()
-                    .zip(&last)
-                    .fold(across, |m, (p, l)| m.max((p - l).abs()));
+                across = phase.iter().zip(&last).fold(across, |m, (p, l)| m.max((p - l).abs()));
             }
             last = phase;
         }
@@ -297,8 +276,5 @@ fn along_chord(
         }
     }
     debug_assert!(horner(amplitude, middle).is_finite());
-    (
-        (re[0] + re[2]) + (re[1] + re[3]),
-        (im[0] + im[2]) + (im[1] + im[3]),
-    )
+    ((re[0] + re[2]) + (re[1] + re[3]), (im[0] + im[2]) + (im[1] + im[3]))
 }

@@ -33,9 +33,7 @@ impl Outline {
             })
             .collect();
         while harmonics.len() > 2
-            && harmonics
-                .last()
-                .is_some_and(|(c, s)| c.length() + s.length() < NEGLIGIBLE)
+            && harmonics.last().is_some_and(|(c, s)| c.length() + s.length() < NEGLIGIBLE)
         {
             harmonics.pop();
         }
@@ -44,9 +42,7 @@ impl Outline {
 
     /// The unit circle.
     pub fn circle() -> Self {
-        Self {
-            harmonics: vec![(DVec2::ZERO, DVec2::ZERO), (DVec2::X, DVec2::Y)],
-        }
+        Self { harmonics: vec![(DVec2::ZERO, DVec2::ZERO), (DVec2::X, DVec2::Y)] }
     }
 
     /// The curve mapped by p → m p + offset.

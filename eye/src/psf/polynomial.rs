@@ -42,9 +42,7 @@ impl Polynomial2 {
 
     /// Value at a point.
     pub fn at(&self, p: DVec2) -> f64 {
-        (0..=self.degree)
-            .rev()
-            .fold(0.0, |sum, i| sum * p.x + horner(self.row(i), p.y))
+        (0..=self.degree).rev().fold(0.0, |sum, i| sum * p.x + horner(self.row(i), p.y))
     }
 
     /// Coefficients of the polynomial in x at a fixed y, written to `out` (degree + 1 long).
@@ -56,10 +54,7 @@ impl Polynomial2 {
 
     /// Every coefficient times `factor`.
     pub fn scaled(&self, factor: f64) -> Self {
-        Self::new(
-            self.degree,
-            self.coefficients.iter().map(|c| c * factor).collect(),
-        )
+        Self::new(self.degree, self.coefficients.iter().map(|c| c * factor).collect())
     }
 
     /// Derivatives by x and y.
@@ -142,9 +137,7 @@ mod tests {
     fn sample(degree: usize) -> Polynomial2 {
         Polynomial2::new(
             degree,
-            (0..count(degree))
-                .map(|k| ((k * 7919 + 13) % 101) as f64 / 50.0 - 1.0)
-                .collect(),
+            (0..count(degree)).map(|k| ((k * 7919 + 13) % 101) as f64 / 50.0 - 1.0).collect(),
         )
     }
 

@@ -42,14 +42,8 @@ mod tests {
     fn integrates_even_powers_exactly() {
         for n in [1, 2, 5, 8, 33, 120] {
             for power in (0..2 * n.min(20)).step_by(2) {
-                let sum: f64 = gauss_legendre(n)
-                    .iter()
-                    .map(|(x, w)| w * x.powi(power as i32))
-                    .sum();
-                assert!(
-                    (sum - 2.0 / (power as f64 + 1.0)).abs() < 1e-13,
-                    "n {n} power {power}: {sum}"
-                );
+                let sum: f64 = gauss_legendre(n).iter().map(|(x, w)| w * x.powi(power as i32)).sum();
+                assert!((sum - 2.0 / (power as f64 + 1.0)).abs() < 1e-13, "n {n} power {power}: {sum}");
             }
         }
     }

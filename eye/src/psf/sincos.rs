@@ -31,10 +31,7 @@ pub fn sin_cos_turns(t: f64) -> (f64, f64) {
     let (sin, cos) = (if swap { c } else { s }, if swap { s } else { c });
     let sin_sign = (quadrant & 2) << 62;
     let cos_sign = (quadrant.wrapping_add(1) & 2) << 62;
-    (
-        f64::from_bits(sin.to_bits() ^ sin_sign),
-        f64::from_bits(cos.to_bits() ^ cos_sign),
-    )
+    (f64::from_bits(sin.to_bits() ^ sin_sign), f64::from_bits(cos.to_bits() ^ cos_sign))
 }
 
 #[cfg(test)]

@@ -101,10 +101,7 @@ impl Wavefront {
         wavelength_nm: f64,
         options: &WavefrontOptions,
     ) -> Result<Self, OpticsError> {
-        let degree = options
-            .degree
-            .unwrap_or(if eye.state().pupil_mm <= 4.0 { 8 } else { 12 })
-            .clamp(2, 20);
+        let degree = options.degree.unwrap_or(if eye.state().pupil_mm <= 4.0 { 8 } else { 12 }).clamp(2, 20);
         let nodes = PupilNodes {
             radial: options.radial_nodes.unwrap_or(degree * 3 / 4 + 2).max(2),
             azimuth: options.azimuth_nodes.unwrap_or(3 * degree + 4).max(6),
@@ -113,9 +110,7 @@ impl Wavefront {
         let rho = options.stiles_crawford.map_or(0.0, |s| s.rho_base10_per_mm2);
         crate::optics::error::in_range("rho_base10_per_mm2", rho, -0.5, 0.5)?;
         let bundle = PupilBundle::trace(eye, object, wavelength_nm, nodes)?;
-        let lost = OpticsError::NoRay {
-            angle_deg: object.angle_deg(),
-        };
+        let lost = OpticsError::NoRay { angle_deg: object.angle_deg() };
         let Some((centre, axes)) = pupil_coordinates(&bundle) else {
             return Err(lost);
         };
@@ -277,14 +272,9 @@ impl Fitted {
         // Path difference, and the maps back to the stop and the launch plane for their Jacobians.
         let rays = || bundle.rays.iter();
         let opd = design.fit(rays().map(|r| r.opd_mm * 1e3));
-        let (stop_x, stop_y) = (
-            design.fit(rays().map(|r| r.stop.x)),
-            design.fit(rays().map(|r| r.stop.y)),
-        );
-        let (launch_x, launch_y) = (
-            design.fit(rays().map(|r| r.launch.x)),
-            design.fit(rays().map(|r| r.launch.y)),
-        );
+        let (stop_x, stop_y) = (design.fit(rays().map(|r| r.stop.x)), design.fit(rays().map(|r| r.stop.y)));
+        let (launch_x, launch_y) =
+            (design.fit(rays().map(|r| r.launch.x)), design.fit(rays().map(|r| r.launch.y)));
         let stop_per_s = Jacobian::new(&stop_x, &stop_y);
         let launch_per_s = Jacobian::new(&launch_x, &launch_y);
         let entrance_mm = eye.stop_radius_mm() * eye.stop_magnification();
@@ -342,12 +332,7 @@ fn pupil_coordinates(bundle: &PupilBundle) -> Option<(DVec2, DMat2)> {
     let total: f64 = bundle.rays.iter().map(|r| r.weight).sum();
     let centre = bundle.rays.iter().map(|r| r.q * r.weight).sum::<DVec2>() / total;
     let moment = |f: fn(DVec2) -> f64| {
-        bundle
-            .rays
-            .iter()
-            .map(|r| (r.q - centre) * (r.weight * f(r.stop)))
-            .sum::<DVec2>()
-            / (total / 4.0)
+        bundle.rays.iter().map(|r| (r.q - centre) * (r.weight * f(r.stop))).sum::<DVec2>() / (total / 4.0)
     };
     let axes = DMat2::from_cols(moment(|s| s.x), moment(|s| s.y));
     (axes.determinant().abs() > 1e-12).then_some((centre, axes))

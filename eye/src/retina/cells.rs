@@ -94,12 +94,7 @@ pub(super) fn diagram(cones: &Relaxed, wanted: impl Fn(usize) -> bool) -> Cells 
     let mean = cones.spacing.iter().sum::<f64>() / n.max(1) as f64;
     let grid = Grid::new(&cones.at, mean);
     let circle = directions(12);
-    let mut cells = Cells {
-        start: vec![0],
-        close: vec![false; n],
-        void: vec![false; n],
-        ..Cells::default()
-    };
+    let mut cells = Cells { start: vec![0], close: vec![false; n], void: vec![false; n], ..Cells::default() };
     let (mut cell, mut near) = (Convex::default(), Vec::new());
     for i in 0..n {
         if wanted(i) {
@@ -290,19 +285,12 @@ fn shared_corner(cones: &Relaxed, cells: &Cells, i: u32, before: usize, here: us
     }
     set.sort_unstable();
     set.dedup();
-    if set.len() > 3 {
-        meeting_point(cones, &set)
-    } else {
-        None
-    }
+    if set.len() > 3 { meeting_point(cones, &set) } else { None }
 }
 
 /// The third cone at the other end of the wall between `x` and `y`, seen from the corner with `z`, when that wall is short.
 fn across_short_wall(cells: &Cells, x: u32, y: u32, z: u32) -> Option<u32> {
-    let (cone, slot) = cells
-        .wall(x, y)
-        .map(|s| (x, s))
-        .or_else(|| cells.wall(y, x).map(|s| (y, s)))?;
+    let (cone, slot) = cells.wall(x, y).map(|s| (x, s)).or_else(|| cells.wall(y, x).map(|s| (y, s)))?;
     if !cells.short[slot] {
         return None;
     }

@@ -25,11 +25,7 @@ impl Convex {
 
     /// Largest distance of a corner from the origin.
     pub(super) fn reach(&self) -> f64 {
-        self.corner
-            .iter()
-            .map(|c| c.length_squared())
-            .fold(0.0, f64::max)
-            .sqrt()
+        self.corner.iter().map(|c| c.length_squared()).fold(0.0, f64::max).sqrt()
     }
 
     /// Keeps the part with `normal`·x <= `offset`; the new edge gets `label`. True when something was cut off.
@@ -49,8 +45,7 @@ impl Convex {
             }
             if (da <= 0.0) != (db <= 0.0) {
                 self.next_corner.push(a + (b - a) * (da / (da - db)));
-                self.next_label
-                    .push(if da <= 0.0 { label } else { self.label[m] });
+                self.next_label.push(if da <= 0.0 { label } else { self.label[m] });
             }
         }
         std::mem::swap(&mut self.corner, &mut self.next_corner);
@@ -61,27 +56,20 @@ impl Convex {
 
 /// Unit vectors of a regular polygon.
 pub(super) fn directions(n: usize) -> Vec<DVec2> {
-    (0..n)
-        .map(|i| DVec2::from_angle(std::f64::consts::TAU * (i as f64 + 0.5) / n as f64))
-        .collect()
+    (0..n).map(|i| DVec2::from_angle(std::f64::consts::TAU * (i as f64 + 0.5) / n as f64)).collect()
 }
 
 /// Area of a counter-clockwise polygon.
 pub(super) fn area(corner: &[DVec2]) -> f64 {
     let n = corner.len();
-    (0..n)
-        .map(|m| corner[m].perp_dot(corner[(m + 1) % n]))
-        .sum::<f64>()
-        / 2.0
+    (0..n).map(|m| corner[m].perp_dot(corner[(m + 1) % n])).sum::<f64>() / 2.0
 }
 
 /// Centroid of a polygon with some area.
 pub(super) fn centroid(corner: &[DVec2]) -> DVec2 {
     let n = corner.len();
-    let sum: DVec2 = (0..n)
-        .map(|m| (corner[m], corner[(m + 1) % n]))
-        .map(|(a, b)| (a + b) * a.perp_dot(b))
-        .sum();
+    let sum: DVec2 =
+        (0..n).map(|m| (corner[m], corner[(m + 1) % n])).map(|(a, b)| (a + b) * a.perp_dot(b)).sum();
     sum / (6.0 * area(corner)).max(f64::MIN_POSITIVE)
 }
 

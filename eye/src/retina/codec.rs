@@ -45,12 +45,7 @@ impl<'a> Reader<'a> {
         from: impl Fn([u8; N]) -> T,
     ) -> Result<Vec<T>, RetinaError> {
         let bytes = self.bytes(n.checked_mul(N).ok_or_else(damaged)?)?;
-        Ok(bytes
-            .as_chunks::<N>()
-            .0
-            .iter()
-            .map(|&chunk| from(chunk))
-            .collect())
+        Ok(bytes.as_chunks::<N>().0.iter().map(|&chunk| from(chunk)).collect())
     }
 }
 
@@ -73,16 +68,8 @@ fn encode(magic: [u8; 8], place: [f64; 4], params: &RetinaParams, cones: &Cones)
         out.extend(0_u32.to_le_bytes());
     }
     out.extend(cones.polygon_start.iter().flat_map(|v| v.to_le_bytes()));
-    let singles = cones
-        .polygon_xy
-        .iter()
-        .chain(&cones.cell_area_um2)
-        .chain(&cones.aperture_um2);
-    out.extend(
-        singles
-            .chain(cones.pointing.as_flattened())
-            .flat_map(|v| v.to_le_bytes()),
-    );
+    let singles = cones.polygon_xy.iter().chain(&cones.cell_area_um2).chain(&cones.aperture_um2);
+    out.extend(singles.chain(cones.pointing.as_flattened()).flat_map(|v| v.to_le_bytes()));
     out.extend(cones.cone_type.iter().map(|&t| t as u8));
     let digest = blake3::hash(&out);
     out.extend(digest.as_bytes());
@@ -129,11 +116,7 @@ fn decode(magic: [u8; 8], bytes: &[u8]) -> Result<([f64; 4], RetinaParams, Cones
         cell_area_um2: r.values(n, f32::from_le_bytes)?,
         aperture_um2: r.values(n, f32::from_le_bytes)?,
         pointing: r.values(2 * n, f32::from_le_bytes)?.as_chunks::<2>().0.to_vec(),
-        cone_type: r
-            .values(n, types)?
-            .into_iter()
-            .collect::<Option<_>>()
-            .ok_or_else(damaged)?,
+        cone_type: r.values(n, types)?.into_iter().collect::<Option<_>>().ok_or_else(damaged)?,
     };
     let starts = &cones.polygon_start;
     let sound = starts.first() == Some(&0) && starts.is_sorted() && starts.last() == Some(&(corners as u32));
@@ -156,14 +139,7 @@ impl RetinaTile {
     /// `RetinaError::Bytes` when it is something else, of another version, or damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, RetinaError> {
         let ([i, j, ..], params, cones) = decode(TILE_MAGIC, bytes)?;
-        Ok(Self {
-            tile: TileId {
-                i: i as i32,
-                j: j as i32,
-            },
-            params,
-            cones,
-        })
+        Ok(Self { tile: TileId { i: i as i32, j: j as i32 }, params, cones })
     }
 }
 
@@ -171,12 +147,7 @@ impl Retina {
     /// The stored form.
     pub fn to_bytes(&self) -> Vec<u8> {
         let (min, max) = (self.region.min, self.region.max);
-        encode(
-            RETINA_MAGIC,
-            [min.x, min.y, max.x, max.y],
-            &self.params,
-            &self.cones,
-        )
+        encode(RETINA_MAGIC, [min.x, min.y, max.x, max.y], &self.params, &self.cones)
     }
 
     /// Reads the stored form.
@@ -185,14 +156,7 @@ impl Retina {
     /// `RetinaError::Bytes` when it is something else, of another version, or damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, RetinaError> {
         let ([x0, y0, x1, y1], params, cones) = decode(RETINA_MAGIC, bytes)?;
-        let region = RegionUm {
-            min: DVec2::new(x0, y0),
-            max: DVec2::new(x1, y1),
-        };
-        Ok(Self {
-            region,
-            params,
-            cones,
-        })
+        let region = RegionUm { min: DVec2::new(x0, y0), max: DVec2::new(x1, y1) };
+        Ok(Self { region, params, cones })
     }
 }

@@ -200,10 +200,7 @@ mod tests {
     use super::*;
 
     fn curcio() -> Density {
-        Density::new(&RetinaParams {
-            peak_density_per_mm2: CURCIO_PEAK,
-            ..RetinaParams::default()
-        })
+        Density::new(&RetinaParams { peak_density_per_mm2: CURCIO_PEAK, ..RetinaParams::default() })
     }
 
     fn at_deg(deg: f64, meridian_deg: f64) -> DVec2 {
@@ -225,10 +222,7 @@ mod tests {
 
     #[test]
     fn peak_acts_at_the_centre_only() {
-        let high = Density::new(&RetinaParams {
-            peak_density_per_mm2: 324_100.0,
-            ..RetinaParams::default()
-        });
+        let high = Density::new(&RetinaParams { peak_density_per_mm2: 324_100.0, ..RetinaParams::default() });
         assert!(
             (high.per_mm2(DVec2::ZERO) / curcio().per_mm2(DVec2::ZERO) - 324_100.0 / CURCIO_PEAK).abs()
                 < 1e-9
@@ -244,9 +238,7 @@ mod tests {
         for ring in 0..1_200 {
             let theta = (f64::from(ring) + 0.5) * 0.1;
             let area = theta.to_radians().sin() * 144.0 * 0.1_f64.to_radians() * std::f64::consts::TAU / 72.0;
-            total += (0..72)
-                .map(|m| d.per_mm2(at_deg(theta, f64::from(m) * 5.0)) * area)
-                .sum::<f64>();
+            total += (0..72).map(|m| d.per_mm2(at_deg(theta, f64::from(m) * 5.0)) * area).sum::<f64>();
         }
         assert!((4.9e6..5.7e6).contains(&total), "{total}");
     }

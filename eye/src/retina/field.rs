@@ -35,10 +35,7 @@ pub(super) struct Field<'a> {
 
 impl<'a> Field<'a> {
     pub(super) fn new(params: &'a RetinaParams) -> Self {
-        Self {
-            params,
-            density: Density::new(params),
-        }
+        Self { params, density: Density::new(params) }
     }
 
     pub(super) fn local(&self, at: DVec2) -> Local {
@@ -70,16 +67,8 @@ impl<'a> Field<'a> {
         let deg = self.density.visual_deg(at);
         let i = TEXTURE.partition_point(|t| t.0 <= deg).min(TEXTURE.len() - 1);
         let (a, b) = (TEXTURE[i.saturating_sub(1)], TEXTURE[i]);
-        let t = if b.0 > a.0 {
-            ((deg - a.0) / (b.0 - a.0)).clamp(0.0, 1.0)
-        } else {
-            1.0
-        };
+        let t = if b.0 > a.0 { ((deg - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 1.0 };
         let mix = |x: f64, y: f64| x + t * (y - x);
-        Texture {
-            patch: mix(a.1, b.1),
-            radius_spread: mix(a.2, b.2),
-            cycles: mix(a.3, b.3).round() as u32,
-        }
+        Texture { patch: mix(a.1, b.1), radius_spread: mix(a.2, b.2), cycles: mix(a.3, b.3).round() as u32 }
     }
 }

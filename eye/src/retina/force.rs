@@ -60,11 +60,7 @@ pub fn push(d: DVec2, length2: f64, reach: f64) -> Option<DVec2> {
 #[inline]
 pub fn limited(step: DVec2, length2: f64, radius: f64) -> (DVec2, bool) {
     let limit = STEP_LIMIT * radius;
-    if length2 > limit * limit {
-        (step * (limit / length2.sqrt()), true)
-    } else {
-        (step, false)
-    }
+    if length2 > limit * limit { (step * (limit / length2.sqrt()), true) } else { (step, false) }
 }
 
 #[cfg(test)]
@@ -108,10 +104,7 @@ mod tests {
             let at = |a: i32, b: i32| (a.rem_euclid(n) * n + b.rem_euclid(n)) as usize;
             let mut off: Vec<DVec2> = (0..n * n)
                 .map(|i| {
-                    DVec2::new(
-                        f64::from((i * 7919) % 13) - 6.0,
-                        f64::from((i * 104_729) % 11) - 5.0,
-                    ) * 1e-7
+                    DVec2::new(f64::from((i * 7919) % 13) - 6.0, f64::from((i * 104_729) % 11) - 5.0) * 1e-7
                 })
                 .collect();
             let mut last = 0.0;

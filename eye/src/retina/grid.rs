@@ -26,14 +26,7 @@ impl Grid {
         let extent = (max - min).max(DVec2::ZERO);
         let size = size.max(extent.max_element() / MAX_SIDE).max(1e-9);
         let (nx, ny) = ((extent.x / size) as usize + 1, (extent.y / size) as usize + 1);
-        let mut grid = Self {
-            min,
-            size,
-            nx,
-            ny,
-            start: vec![0; nx * ny + 1],
-            item: vec![0; points.len()],
-        };
+        let mut grid = Self { min, size, nx, ny, start: vec![0; nx * ny + 1], item: vec![0; points.len()] };
         for &p in points {
             let bin = grid.bin(p);
             grid.start[bin + 1] += 1;
@@ -85,9 +78,8 @@ mod tests {
 
     #[test]
     fn finds_all_within_reach() {
-        let points: Vec<DVec2> = (0..500)
-            .map(|i| DVec2::new(f64::from(i * 37 % 101), f64::from(i * 53 % 97)))
-            .collect();
+        let points: Vec<DVec2> =
+            (0..500).map(|i| DVec2::new(f64::from(i * 37 % 101), f64::from(i * 53 % 97))).collect();
         let grid = Grid::new(&points, 3.0);
         let (p, reach) = (DVec2::new(40.0, 40.0), 9.0);
         let mut found = Vec::new();

@@ -30,12 +30,7 @@ impl ConeIndex {
             }
             start.push(corner.len() as u32);
         }
-        Self {
-            grid: Grid::new(&centers, reach),
-            reach,
-            start,
-            corner,
-        }
+        Self { grid: Grid::new(&centers, reach), reach, start, corner }
     }
 
     /// The cone whose aperture owns `p`, µm of the chart; `None` between apertures and outside.
@@ -59,11 +54,7 @@ impl ConeIndex {
 /// Whether `p` is left of the wall from `a` to `b`; for the wall from `b` to `a` it is exactly the opposite.
 #[inline]
 fn is_left(a: DVec2, b: DVec2, p: DVec2) -> bool {
-    if (a.x, a.y) < (b.x, b.y) {
-        (b - a).perp_dot(p - a) >= 0.0
-    } else {
-        (a - b).perp_dot(p - b) < 0.0
-    }
+    if (a.x, a.y) < (b.x, b.y) { (b - a).perp_dot(p - a) >= 0.0 } else { (a - b).perp_dot(p - b) < 0.0 }
 }
 
 #[cfg(test)]

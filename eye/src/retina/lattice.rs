@@ -99,17 +99,7 @@ fn patches(field: &Field, region: &RegionUm) -> (Vec<Patch>, Vec<usize>) {
             let radius = field.params.geometry.radius_um;
             let around = std::f64::consts::TAU * radius * (rho / radius).sin();
             let count = (around / pitch).round().max(1.0) as u64;
-            ring_patches(
-                field,
-                &Ring {
-                    number,
-                    rho,
-                    pitch,
-                    count,
-                },
-                region,
-                &mut patches,
-            );
+            ring_patches(field, &Ring { number, rho, pitch, count }, region, &mut patches);
             starts.push(patches.len());
         }
         rho += RING_STEP * pitch;
@@ -132,13 +122,7 @@ fn ring_patches(field: &Field, ring: &Ring, region: &RegionUm, out: &mut Vec<Pat
         let at = DVec2::from_angle(step * (j as f64 + phase + along)) * rho;
         let turn = FRAC_PI_3 * s.uniform();
         if near.contains_closed(at) {
-            out.push(Patch {
-                id,
-                at,
-                pitch: ring.pitch,
-                turn,
-                stream: s,
-            });
+            out.push(Patch { id, at, pitch: ring.pitch, turn, stream: s });
         }
     }
     out[first..].sort_unstable_by_key(|p| p.id);
@@ -148,18 +132,13 @@ fn ring_patches(field: &Field, ring: &Ring, region: &RegionUm, out: &mut Vec<Pat
 fn numbers_near(near: &RegionUm, count: u64, phase: f64, step: f64) -> Vec<u64> {
     let corners = near.corners();
     let middle = 0.5 * (near.min + near.max);
-    let half = corners
-        .iter()
-        .map(|&c| middle.angle_to(c).abs())
-        .fold(0.0, f64::max);
+    let half = corners.iter().map(|&c| middle.angle_to(c).abs()).fold(0.0, f64::max);
     let span = 2.0 * (half / step).ceil() + 6.0;
     if near.contains_closed(DVec2::ZERO) || span >= count as f64 {
         return (0..count).collect();
     }
     let first = ((middle.to_angle() - half) / step - phase).floor() as i64 - 2;
-    (first..first + span as i64)
-        .map(|j| j.rem_euclid(count as i64) as u64)
-        .collect()
+    (first..first + span as i64).map(|j| j.rem_euclid(count as i64) as u64).collect()
 }
 
 /// The lattice of one patch, before its offset is chosen.
@@ -185,12 +164,8 @@ impl Lattice {
         let (x, y) = (DVec2::new(h, 0.0), DVec2::new(0.0, h));
         let chart = DVec2::new(ln(x) - ln(-x), ln(y) - ln(-y)) / (2.0 * h);
         let gradient = frame.plane_gradient(chart).clamp_length_max(0.3 / patch.pitch);
-        let reach = cell
-            .corner
-            .iter()
-            .map(|&c| frame.plane_from_chart(c).length())
-            .fold(0.0, f64::max)
-            * 1.25;
+        let reach =
+            cell.corner.iter().map(|&c| frame.plane_from_chart(c).length()).fold(0.0, f64::max) * 1.25;
         let mut lattice = Self {
             frame,
             alpha: DVec2::new(gradient.x, -gradient.y),
@@ -212,8 +187,7 @@ impl Lattice {
 
     /// The chart step of an ungraded plane step: f(u) = u + α·u²/2.
     fn warp(&self, u: DVec2) -> DVec2 {
-        self.frame
-            .chart_from_plane(u + 0.5 * product(self.alpha, product(u, u)))
+        self.frame.chart_from_plane(u + 0.5 * product(self.alpha, product(u, u)))
     }
 
     /// Calls `f` with the indices and the chart step of every lattice point inside the cell.
@@ -268,8 +242,7 @@ fn fill(field: &Field, patch: &Patch, cell: &Convex, region: &RegionUm, out: &mu
     lattice.points(offset, cell, |a, b, step| {
         let at = patch.at + step;
         if region.contains_closed(at) {
-            out.id
-                .push(patch.id | (((a + HALF) as u64) << 9) | (b + HALF) as u64);
+            out.id.push(patch.id | (((a + HALF) as u64) << 9) | (b + HALF) as u64);
             out.at.push(at);
         }
     });

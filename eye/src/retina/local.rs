@@ -37,11 +37,7 @@ impl Metric {
     /// The sum of two forms.
     #[inline]
     pub fn plus(&self, o: &Self) -> Self {
-        Self {
-            xx: self.xx + o.xx,
-            xy: self.xy + o.xy,
-            yy: self.yy + o.yy,
-        }
+        Self { xx: self.xx + o.xx, xy: self.xy + o.xy, yy: self.yy + o.yy }
     }
 
     /// Area across the cone per area of the chart.
@@ -52,20 +48,14 @@ impl Metric {
     /// The smallest length of a chart step of length 1.
     pub fn shortest(&self) -> f64 {
         let mean = 0.5 * (self.xx + self.yy);
-        (mean - (0.25 * (self.xx - self.yy).powi(2) + self.xy * self.xy).sqrt())
-            .max(1e-6)
-            .sqrt()
+        (mean - (0.25 * (self.xx - self.yy).powi(2) + self.xy * self.xy).sqrt()).max(1e-6).sqrt()
     }
 
     /// Cholesky factor of the form.
     pub fn frame(&self) -> Frame {
         let a = self.xx.sqrt();
         let b = self.xy / a;
-        Frame {
-            a,
-            b,
-            c: (self.yy - b * b).sqrt(),
-        }
+        Frame { a, b, c: (self.yy - b * b).sqrt() }
     }
 }
 
@@ -119,11 +109,7 @@ pub fn local(g: &RetinaGeometry, at_um: DVec2) -> Local {
     // Components of the aim along the radial and the tangential direction of the chart.
     let radial = cos * (out.x * aim.x + out.y * aim.y) + sin * aim.z;
     let across = out.x * aim.y - out.y * aim.x;
-    let (rr, rt, tt) = (
-        1.0 - radial * radial,
-        -radial * across * k,
-        k * k * (1.0 - across * across),
-    );
+    let (rr, rt, tt) = (1.0 - radial * radial, -radial * across * k, k * k * (1.0 - across * across));
     let metric = Metric {
         xx: rr * out.x * out.x - 2.0 * rt * out.x * out.y + tt * out.y * out.y,
         xy: (rr - tt) * out.x * out.y + rt * (out.x * out.x - out.y * out.y),
@@ -142,10 +128,7 @@ mod tests {
         let g = RetinaGeometry::default();
         for (at, tilt_deg) in [(DVec2::new(3.0, 4.0), 1.62), (DVec2::new(0.0, 5_864.0), 11.4)] {
             let here = local(&g, at);
-            assert!(
-                (here.cos_tilt.acos().to_degrees() - tilt_deg).abs() < 0.2,
-                "{here:?}"
-            );
+            assert!((here.cos_tilt.acos().to_degrees() - tilt_deg).abs() < 0.2, "{here:?}");
             // Against two points of the sphere, projected across the aim.
             let place = |p: DVec2| {
                 let t = p.length() / g.radius_um;
@@ -168,10 +151,7 @@ mod tests {
 
     #[test]
     fn tilt_at_the_ora() {
-        let here = local(
-            &RetinaGeometry::default(),
-            DVec2::new(0.0, 119.0_f64.to_radians() * 12_000.0),
-        );
+        let here = local(&RetinaGeometry::default(), DVec2::new(0.0, 119.0_f64.to_radians() * 12_000.0));
         assert!((here.cos_tilt.acos().to_degrees() - 42.0).abs() < 2.5);
         assert!((here.metric.area_factor() / here.cos_tilt / 0.421 - 1.0).abs() < 0.01);
     }

@@ -40,23 +40,11 @@ pub struct Counts {
 impl Counts {
     /// All counts, in the order of the fields.
     pub fn to_array(self) -> [u64; 5] {
-        [
-            self.coincident,
-            self.close_pairs,
-            self.voids,
-            self.concave,
-            self.limited_steps,
-        ]
+        [self.coincident, self.close_pairs, self.voids, self.concave, self.limited_steps]
     }
 
     pub(super) fn from_array([coincident, close_pairs, voids, concave, limited_steps]: [u64; 5]) -> Self {
-        Self {
-            coincident,
-            close_pairs,
-            voids,
-            concave,
-            limited_steps,
-        }
+        Self { coincident, close_pairs, voids, concave, limited_steps }
     }
 }
 
@@ -105,9 +93,7 @@ impl Cones {
     /// Corners of the aperture of cone `i`, absolute, µm of the chart, counter-clockwise. Panics when there is no such cone.
     pub fn polygon(&self, i: usize) -> impl ExactSizeIterator<Item = DVec2> + '_ {
         let center = self.center(i);
-        self.corners(i)
-            .chunks_exact(2)
-            .map(move |c| center + DVec2::new(f64::from(c[0]), f64::from(c[1])))
+        self.corners(i).chunks_exact(2).map(move |c| center + DVec2::new(f64::from(c[0]), f64::from(c[1])))
     }
 
     /// The slice of `polygon_xy` of cone `i`.
@@ -206,14 +192,8 @@ impl Retina {
     /// The cones of the tiles whose centre is in the region, in Morton order of position, then by id; tiles may come in any order and repeat.
     /// Parameters are those of the first tile; of no tile, the default.
     pub fn assemble(tiles: &[RetinaTile], region: &RegionUm) -> Self {
-        let params = tiles
-            .first()
-            .map_or_else(RetinaParams::default, |t| t.params.clone());
-        Self::gather(
-            &tiles.iter().map(|t| &t.cones).collect::<Vec<_>>(),
-            region,
-            &params,
-        )
+        let params = tiles.first().map_or_else(RetinaParams::default, |t| t.params.clone());
+        Self::gather(&tiles.iter().map(|t| &t.cones).collect::<Vec<_>>(), region, &params)
     }
 
     /// The same from bare cones.
@@ -239,11 +219,7 @@ impl Retina {
             cones.push_from(parts[t], i);
         }
         cones.counts = Counts::from_array(total);
-        Self {
-            region: *region,
-            params: params.clone(),
-            cones,
-        }
+        Self { region: *region, params: params.clone(), cones }
     }
 
     /// Number of cones.
@@ -290,10 +266,7 @@ mod tests {
 
     #[test]
     fn no_tiles_make_an_empty_retina() {
-        let region = RegionUm {
-            min: DVec2::ZERO,
-            max: DVec2::ONE,
-        };
+        let region = RegionUm { min: DVec2::ZERO, max: DVec2::ONE };
         let retina = Retina::assemble(&[], &region);
         assert!(retina.is_empty());
         assert_eq!(retina.polygon_start, [0]);

@@ -118,15 +118,7 @@ fn check(
     max: f64,
     allowed: &'static str,
 ) -> Result<(), RetinaError> {
-    if (min..=max).contains(&value) {
-        Ok(())
-    } else {
-        Err(RetinaError::Parameter {
-            field,
-            value,
-            allowed,
-        })
-    }
+    if (min..=max).contains(&value) { Ok(()) } else { Err(RetinaError::Parameter { field, value, allowed }) }
 }
 
 impl RetinaParams {
@@ -138,70 +130,24 @@ impl RetinaParams {
         let [l, m, s] = self.cone_ratio;
         let g = &self.geometry;
         let [px, py, pz] = g.exit_pupil_um;
-        check(
-            "peak_density_per_mm2",
-            self.peak_density_per_mm2,
-            98_200.0,
-            324_100.0,
-            "98200 to 324100",
-        )?;
+        check("peak_density_per_mm2", self.peak_density_per_mm2, 98_200.0, 324_100.0, "98200 to 324100")?;
         check("cone_ratio.l", l, 0.0, 1.0, "0 to 1")?;
         check("cone_ratio.m", m, 0.0, 1.0, "0 to 1")?;
         check("cone_ratio.s", s, 0.0, 0.5, "0 to 0.5")?;
         let off = (l + m + s - 1.0).abs();
         if off > 1e-9 {
             let (field, allowed) = ("cone_ratio", "shares that sum to 1");
-            return Err(RetinaError::Parameter {
-                field,
-                value: l + m + s,
-                allowed,
-            });
+            return Err(RetinaError::Parameter { field, value: l + m + s, allowed });
         }
         check("s_repulsion", self.s_repulsion, 0.0, 0.52, "0 to 0.52")?;
         check("pointing_sd_deg", self.pointing_sd_deg, 0.0, 10.0, "0 to 10")?;
-        check(
-            "geometry.radius_um",
-            g.radius_um,
-            8_000.0,
-            16_000.0,
-            "8000 to 16000",
-        )?;
-        check(
-            "geometry.exit_pupil_um[0]",
-            px,
-            -4_000.0,
-            4_000.0,
-            "-4000 to 4000",
-        )?;
-        check(
-            "geometry.exit_pupil_um[1]",
-            py,
-            -4_000.0,
-            4_000.0,
-            "-4000 to 4000",
-        )?;
+        check("geometry.radius_um", g.radius_um, 8_000.0, 16_000.0, "8000 to 16000")?;
+        check("geometry.exit_pupil_um[0]", px, -4_000.0, 4_000.0, "-4000 to 4000")?;
+        check("geometry.exit_pupil_um[1]", py, -4_000.0, 4_000.0, "-4000 to 4000")?;
         let (low, high) = (1.2 * g.radius_um, 1.9 * g.radius_um);
-        check(
-            "geometry.exit_pupil_um[2]",
-            pz,
-            low,
-            high,
-            "1.2 to 1.9 radii of the sphere",
-        )?;
-        check(
-            "geometry.visual_deg_per_um",
-            g.visual_deg_per_um,
-            1.0 / 500.0,
-            1.0 / 150.0,
-            "1/500 to 1/150",
-        )?;
-        check(
-            "geometry.ora_retinal_deg",
-            g.ora_retinal_deg,
-            60.0,
-            120.0,
-            "60 to 120",
-        )?;
+        check("geometry.exit_pupil_um[2]", pz, low, high, "1.2 to 1.9 radii of the sphere")?;
+        check("geometry.visual_deg_per_um", g.visual_deg_per_um, 1.0 / 500.0, 1.0 / 150.0, "1/500 to 1/150")?;
+        check("geometry.ora_retinal_deg", g.ora_retinal_deg, 60.0, 120.0, "60 to 120")?;
         let (value, allowed) = (g.ora_density_per_mm2, "1000 to 10000");
         check("geometry.ora_density_per_mm2", value, 1_000.0, 10_000.0, allowed)
     }
@@ -219,27 +165,14 @@ mod tests {
             Err(RetinaError::Parameter { field, .. }) => field,
             _ => "none",
         };
-        let peak = |v| {
-            field(RetinaParams {
-                peak_density_per_mm2: v,
-                ..RetinaParams::default()
-            })
-        };
+        let peak = |v| field(RetinaParams { peak_density_per_mm2: v, ..RetinaParams::default() });
         assert_eq!(peak(f64::NAN), "peak_density_per_mm2");
         assert_eq!(peak(98_199.0), "peak_density_per_mm2");
         assert_eq!(peak(f64::INFINITY), "peak_density_per_mm2");
-        let ratio = |v| {
-            field(RetinaParams {
-                cone_ratio: v,
-                ..RetinaParams::default()
-            })
-        };
+        let ratio = |v| field(RetinaParams { cone_ratio: v, ..RetinaParams::default() });
         assert_eq!(ratio([0.6, 0.3, 0.2]), "cone_ratio");
         assert_eq!(ratio([1.3, -0.3, 0.0]), "cone_ratio.l");
-        let sd = RetinaParams {
-            pointing_sd_deg: -1.0,
-            ..RetinaParams::default()
-        };
+        let sd = RetinaParams { pointing_sd_deg: -1.0, ..RetinaParams::default() };
         assert_eq!(field(sd), "pointing_sd_deg");
     }
 

@@ -82,9 +82,7 @@ impl Relaxed {
 pub(super) fn relax(field: &Field, tile: &RegionUm, exact_rows: f64, factor: f64) -> Relaxed {
     // Most sub-cycles are at the tile's point nearest to the fovea, the largest spread of radii at the farthest.
     let texture = field.texture(tile.nearest(DVec2::ZERO));
-    let spread_max = field
-        .texture(DVec2::new(tile.farthest_from_origin(), 0.0))
-        .radius_spread;
+    let spread_max = field.texture(DVec2::new(tile.farthest_from_origin(), 0.0)).radius_spread;
     let per_cycle = (SPREAD_ROWS[0] + SPREAD_ROWS[1] * spread_max) * factor;
     let kept = exact_rows + SLACK_ROWS;
     let halo = kept + RIM_ROWS + per_cycle * f64::from(texture.cycles);
@@ -130,13 +128,8 @@ struct Sum {
 /// Birth: places, radii, metrics, and the distance from the tile in rows.
 fn born(field: &Field, tile: &RegionUm, halo: f64) -> (Relaxed, Vec<Body>) {
     let births = births(field, &halo_region(field, tile, halo));
-    let mut order: Vec<(u64, u64, usize)> = births
-        .at
-        .iter()
-        .zip(&births.id)
-        .enumerate()
-        .map(|(i, (&at, &id))| (morton(at), id, i))
-        .collect();
+    let mut order: Vec<(u64, u64, usize)> =
+        births.at.iter().zip(&births.id).enumerate().map(|(i, (&at, &id))| (morton(at), id, i)).collect();
     order.sort_unstable();
     let (mut cones, mut bodies) = (Relaxed::default(), Vec::new());
     for (_, id, i) in order {
@@ -157,13 +150,7 @@ fn born(field: &Field, tile: &RegionUm, halo: f64) -> (Relaxed, Vec<Body>) {
         let normal = stream.normal_pair().0.clamp(-RADIUS_SIGMAS, RADIUS_SIGMAS);
         let radius = 0.5 * RADIUS_FACTOR * spacing * (1.0 + texture.radius_spread * normal);
         let exact = rows <= halo - RIM_ROWS;
-        bodies.push(Body {
-            at,
-            metric: here.metric,
-            radius,
-            cycles: texture.cycles,
-            exact,
-        });
+        bodies.push(Body { at, metric: here.metric, radius, cycles: texture.cycles, exact });
         cones.id.push(id);
         cones.radius.push(radius);
         cones.spacing.push(spacing);
@@ -208,21 +195,12 @@ impl Pairs {
     /// The wide list, by a grid.
     fn new(cones: &Relaxed, bodies: &[Body]) -> Self {
         // The largest partner near by, in spacings of a cone; neighbouring spacings differ by a few per cent.
-        let widest = cones
-            .radius
-            .iter()
-            .zip(&cones.spacing)
-            .map(|(r, s)| r / s)
-            .fold(0.0, f64::max);
+        let widest = cones.radius.iter().zip(&cones.spacing).map(|(r, s)| r / s).fold(0.0, f64::max);
         let shortest = cones.metric.iter().map(Metric::shortest).fold(1.0, f64::min);
         let mean = cones.radius.iter().sum::<f64>() / cones.radius.len().max(1) as f64;
         let at: Vec<DVec2> = bodies.iter().map(|b| b.at).collect();
         let grid = Grid::new(&at, 2.0 * mean);
-        let mut pairs = Self {
-            start: vec![0],
-            other: Vec::with_capacity(12 * at.len()),
-            at,
-        };
+        let mut pairs = Self { start: vec![0], other: Vec::with_capacity(12 * at.len()), at };
         let mut near = Vec::new();
         for (i, body) in bodies.iter().enumerate() {
             let reach = (SPOIL + WIDE_SKIN) * (body.radius + 1.06 * widest * cones.spacing[i]) / shortest;
@@ -245,11 +223,7 @@ impl Pairs {
         short.other.clear();
         for (i, body) in bodies.iter().enumerate() {
             let others = &self.other[self.start[i] as usize..self.start[i + 1] as usize];
-            short.other.extend(
-                others
-                    .iter()
-                    .filter(|&&j| are_near(body, &bodies[j as usize], SKIN)),
-            );
+            short.other.extend(others.iter().filter(|&&j| are_near(body, &bodies[j as usize], SKIN)));
             short.start.push(short.other.len() as u32);
         }
         short.at.clear();

@@ -14,9 +14,7 @@ use super::relax::Relaxed;
 use super::tile::RegionUm;
 
 /// Edges of the default bands, visual degrees.
-const BANDS_DEG: [f64; 14] = [
-    0.0, 0.125, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0, 110.0,
-];
+const BANDS_DEG: [f64; 14] = [0.0, 0.125, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0, 110.0];
 /// Steps per side of the grid that integrates the target.
 const STEPS: usize = 700;
 /// Spacings between the edge of the region and the first cone that counts.
@@ -82,26 +80,14 @@ pub fn statistics(retina: &Retina) -> Statistics {
 /// Statistics in bands with the given ascending edges, visual degrees.
 pub fn statistics_in_bands(retina: &Retina, edges_deg: &[f64]) -> Statistics {
     let field = Field::new(&retina.params);
-    let mut bands: Vec<Band> = edges_deg
-        .windows(2)
-        .map(|e| Band {
-            from_deg: e[0],
-            to_deg: e[1],
-            ..Band::default()
-        })
-        .collect();
+    let mut bands: Vec<Band> =
+        edges_deg.windows(2).map(|e| Band { from_deg: e[0], to_deg: e[1], ..Band::default() }).collect();
     let last = edges_deg.last().copied().unwrap_or(0.0);
-    let mut all = Band {
-        from_deg: edges_deg.first().copied().unwrap_or(0.0),
-        to_deg: last,
-        ..Band::default()
-    };
+    let mut all =
+        Band { from_deg: edges_deg.first().copied().unwrap_or(0.0), to_deg: last, ..Band::default() };
     let band_of = |at: DVec2| {
         let deg = field.density.visual_deg(at);
-        edges_deg
-            .partition_point(|&e| e <= deg)
-            .checked_sub(1)
-            .filter(|&b| b + 1 < edges_deg.len())
+        edges_deg.partition_point(|&e| e <= deg).checked_sub(1).filter(|&b| b + 1 < edges_deg.len())
     };
     add_targets(&field, &retina.region, &mut bands, &mut all, band_of);
     let cones = as_relaxed(&field, retina);
@@ -128,17 +114,10 @@ pub fn statistics_in_bands(retina: &Retina, edges_deg: &[f64]) -> Statistics {
     for band in bands.iter_mut().chain([&mut all]) {
         let n = (band.interior as f64).max(1.0);
         band.coverage /= (band.cones as f64).max(1.0);
-        for sum in [
-            &mut band.six_share,
-            &mut band.within_1_5,
-            &mut band.nearest_mean,
-            &mut band.psi6,
-        ] {
+        for sum in [&mut band.six_share, &mut band.within_1_5, &mut band.nearest_mean, &mut band.psi6] {
             *sum /= n;
         }
-        band.nearest_sd = (band.nearest_sd / n - band.nearest_mean * band.nearest_mean)
-            .max(0.0)
-            .sqrt();
+        band.nearest_sd = (band.nearest_sd / n - band.nearest_mean * band.nearest_mean).max(0.0).sqrt();
     }
     Statistics { all, bands }
 }

@@ -57,29 +57,18 @@ impl RegionUm {
     }
 
     pub(super) fn grown(&self, by: f64) -> Self {
-        Self {
-            min: self.min - DVec2::splat(by),
-            max: self.max + DVec2::splat(by),
-        }
+        Self { min: self.min - DVec2::splat(by), max: self.max + DVec2::splat(by) }
     }
 
     /// The part within `limit` of the origin along both axes; `None` when nothing is left or the region is not a number.
     fn within(&self, limit: f64) -> Option<Self> {
-        let part = Self {
-            min: self.min.max(DVec2::splat(-limit)),
-            max: self.max.min(DVec2::splat(limit)),
-        };
+        let part = Self { min: self.min.max(DVec2::splat(-limit)), max: self.max.min(DVec2::splat(limit)) };
         let sound = self.min.is_finite() && self.max.is_finite() && part.min.cmplt(part.max).all();
         sound.then_some(part)
     }
 
     pub(super) fn corners(&self) -> [DVec2; 4] {
-        [
-            self.min,
-            DVec2::new(self.max.x, self.min.y),
-            self.max,
-            DVec2::new(self.min.x, self.max.y),
-        ]
+        [self.min, DVec2::new(self.max.x, self.min.y), self.max, DVec2::new(self.min.x, self.max.y)]
     }
 
     pub(super) fn nearest(&self, p: DVec2) -> DVec2 {
@@ -110,10 +99,7 @@ impl TileId {
         let mut found = (Self { i, j }, 1);
         for (level, from) in BLOCK_FROM_UM.iter().enumerate() {
             let side = 2 << level;
-            let block = Self {
-                i: i.div_euclid(side) * side,
-                j: j.div_euclid(side) * side,
-            };
+            let block = Self { i: i.div_euclid(side) * side, j: j.div_euclid(side) * side };
             if square_region(block, side).distance_to_origin() < *from {
                 break;
             }
@@ -135,10 +121,7 @@ impl TileId {
 
 fn square_region(t: TileId, side: i32) -> RegionUm {
     let at = |i: i32| f64::from(i) * TILE_UM;
-    RegionUm {
-        min: DVec2::new(at(t.i), at(t.j)),
-        max: DVec2::new(at(t.i + side), at(t.j + side)),
-    }
+    RegionUm { min: DVec2::new(at(t.i), at(t.j)), max: DVec2::new(at(t.i + side), at(t.j + side)) }
 }
 
 /// The tiles that meet the region, sorted. Nothing beyond 36 mm of arc is listed; an empty or NaN region has no tiles.
@@ -164,18 +147,10 @@ pub fn build_tile(p: &RetinaParams, t: TileId) -> Result<RetinaTile, RetinaError
     let region = t.region().ok_or(RetinaError::NotATile { i: t.i, j: t.j })?;
     let field = Field::new(p);
     if region.distance_to_origin() > field.density.ora_um() {
-        return Ok(RetinaTile {
-            tile: t,
-            params: p.clone(),
-            cones: Cones::default(),
-        });
+        return Ok(RetinaTile { tile: t, params: p.clone(), cones: Cones::default() });
     }
     let cones = build_cones(&field, &region)?;
-    Ok(RetinaTile {
-        tile: t,
-        params: p.clone(),
-        cones,
-    })
+    Ok(RetinaTile { tile: t, params: p.clone(), cones })
 }
 
 /// The cones of a rectangle: what they are does not depend on the rectangle.
@@ -188,10 +163,7 @@ fn build_cones(field: &Field, region: &RegionUm) -> Result<Cones, RetinaError> {
             return Ok(collect(field, region, &relaxed, &cells, &kinds));
         }
     }
-    Err(RetinaError::Halo {
-        x_um: region.min.x,
-        y_um: region.min.y,
-    })
+    Err(RetinaError::Halo { x_um: region.min.x, y_um: region.min.y })
 }
 
 /// The cones whose final place is in the region, in Morton order of birth.
@@ -226,12 +198,7 @@ pub fn build_region(p: &RetinaParams, region: &RegionUm) -> Result<Retina, Retin
     let mut parts = Vec::new();
     if let Some(inside) = region.within(LIMIT_UM) {
         let share = expected_cones(&field, &inside) / rayon::current_num_threads() as f64;
-        split(
-            &field,
-            inside,
-            share.clamp(PART_CONES[0], PART_CONES[1]),
-            &mut parts,
-        );
+        split(&field, inside, share.clamp(PART_CONES[0], PART_CONES[1]), &mut parts);
     }
     let parts: Result<Vec<_>, _> = parts.par_iter().map(|part| build_cones(&field, part)).collect();
     Ok(Retina::gather(&parts?.iter().collect::<Vec<_>>(), region, p))
@@ -272,10 +239,7 @@ mod tests {
 
     #[test]
     fn tiles_partition_the_chart() {
-        let region = RegionUm {
-            min: DVec2::new(-9_000.0, -3_000.0),
-            max: DVec2::new(2_000.0, 9_000.0),
-        };
+        let region = RegionUm { min: DVec2::new(-9_000.0, -3_000.0), max: DVec2::new(2_000.0, 9_000.0) };
         let tiles = tiles_for(&region);
         assert!(tiles.is_sorted());
         for k in 0..2_000 {
@@ -283,35 +247,12 @@ mod tests {
                 f64::from(k * 7_919 % 11_000) - 9_000.0,
                 f64::from(k * 104_729 % 12_000) - 3_000.0,
             );
-            assert_eq!(
-                tiles.iter().filter(|t| t.region().unwrap().contains(p)).count(),
-                1
-            );
+            assert_eq!(tiles.iter().filter(|t| t.region().unwrap().contains(p)).count(), 1);
         }
-        let far = tiles
-            .iter()
-            .find(|t| t.region().unwrap().distance_to_origin() > 6_500.0)
-            .unwrap();
-        assert!(
-            TileId {
-                i: far.i + 1,
-                j: far.j
-            }
-            .region()
-            .is_none()
-        );
-        assert!(
-            TileId {
-                i: i32::MIN,
-                j: i32::MAX
-            }
-            .region()
-            .is_none()
-        );
-        let nan = RegionUm {
-            min: DVec2::NAN,
-            max: DVec2::NAN,
-        };
+        let far = tiles.iter().find(|t| t.region().unwrap().distance_to_origin() > 6_500.0).unwrap();
+        assert!(TileId { i: far.i + 1, j: far.j }.region().is_none());
+        assert!(TileId { i: i32::MIN, j: i32::MAX }.region().is_none());
+        let nan = RegionUm { min: DVec2::NAN, max: DVec2::NAN };
         assert!(tiles_for(&nan).is_empty());
     }
 }

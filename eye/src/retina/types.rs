@@ -37,10 +37,7 @@ pub(super) fn assign(field: &Field, cones: &Relaxed) -> Vec<Kind> {
     let [l, m, _] = field.params.cone_ratio;
     let l_share = if l + m > 0.0 { l / (l + m) } else { 1.0 };
     let sd = field.params.pointing_sd_deg.to_radians();
-    let none = Kind {
-        cone_type: ConeType::L,
-        pointing: [0.0; 2],
-    };
+    let none = Kind { cone_type: ConeType::L, pointing: [0.0; 2] };
     let mut kinds = vec![none; cones.id.len()];
     let mut candidates = Vec::new();
     for (i, &id) in cones.id.iter().enumerate() {

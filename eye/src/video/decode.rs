@@ -15,10 +15,7 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self {
-            side_px: 4096,
-            bytes: 256 << 20,
-        }
+        Self { side_px: 4096, bytes: 256 << 20 }
     }
 }
 
@@ -39,15 +36,11 @@ fn reader(bytes: &[u8], limits: Limits) -> Result<png::Reader<Cursor<&[u8]>>, De
     }
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), png::Limits { bytes: limits.bytes });
     decoder.set_transformations(png::Transformations::EXPAND);
-    let header = decoder
-        .read_header_info()
-        .map_err(|e| DecodeError::Format(e.to_string()))?;
+    let header = decoder.read_header_info().map_err(|e| DecodeError::Format(e.to_string()))?;
     if header.width > limits.side_px || header.height > limits.side_px {
         return Err(DecodeError::TooLarge(header.width, header.height, limits.side_px));
     }
-    decoder
-        .read_info()
-        .map_err(|e| DecodeError::Format(e.to_string()))
+    decoder.read_info().map_err(|e| DecodeError::Format(e.to_string()))
 }
 
 /// Width and height from the header alone.
@@ -65,25 +58,17 @@ pub fn png_size(bytes: &[u8], limits: Limits) -> Result<(u32, u32), DecodeError>
 /// When the bytes are not a PNG file, are damaged, or exceed the limits.
 pub fn decode_png(bytes: &[u8], limits: Limits) -> Result<Picture, DecodeError> {
     let mut reader = reader(bytes, limits)?;
-    let size = reader
-        .output_buffer_size()
-        .ok_or_else(|| DecodeError::Format("the size overflows".into()))?;
+    let size = reader.output_buffer_size().ok_or_else(|| DecodeError::Format("the size overflows".into()))?;
     if size > limits.bytes {
-        return Err(DecodeError::Format(format!(
-            "{size} bytes decoded, allowed are {}",
-            limits.bytes
-        )));
+        return Err(DecodeError::Format(format!("{size} bytes decoded, allowed are {}", limits.bytes)));
     }
     let mut buffer = vec![0; size];
-    let info = reader
-        .next_frame(&mut buffer)
-        .map_err(|e| DecodeError::Format(e.to_string()))?;
+    let info = reader.next_frame(&mut buffer).map_err(|e| DecodeError::Format(e.to_string()))?;
     let channels = info.color_type.samples();
     let values: Vec<f32> = match info.bit_depth {
-        png::BitDepth::Sixteen => buffer
-            .chunks_exact(2)
-            .map(|b| f32::from(u16::from_be_bytes([b[0], b[1]])) / 65535.0)
-            .collect(),
+        png::BitDepth::Sixteen => {
+            buffer.chunks_exact(2).map(|b| f32::from(u16::from_be_bytes([b[0], b[1]])) / 65535.0).collect()
+        }
         png::BitDepth::Eight => buffer.iter().map(|b| f32::from(*b) / 255.0).collect(),
         depth => return Err(DecodeError::Format(format!("unexpected depth {depth:?}"))),
     };
@@ -97,11 +82,7 @@ pub fn decode_png(bytes: &[u8], limits: Limits) -> Result<Picture, DecodeError> 
         };
         rgb.extend(colour.map(|v| v * alpha));
     }
-    Ok(Picture {
-        width: info.width,
-        height: info.height,
-        rgb,
-    })
+    Ok(Picture { width: info.width, height: info.height, rgb })
 }
 
 #[cfg(test)]
@@ -113,9 +94,7 @@ mod tests {
         let mut encoder = png::Encoder::new(&mut bytes, width, height);
         encoder.set_color(png::ColorType::Grayscale);
         let mut writer = encoder.write_header().unwrap();
-        writer
-            .write_image_data(&vec![51; (width * height) as usize])
-            .unwrap();
+        writer.write_image_data(&vec![51; (width * height) as usize]).unwrap();
         writer.finish().unwrap();
         bytes
     }
@@ -133,18 +112,9 @@ mod tests {
         assert!(decode_png(b"hello", Limits::default()).is_err());
         let whole = grey_png(40, 40);
         for end in 0..whole.len() - 12 {
-            assert!(
-                decode_png(&whole[..end], Limits::default()).is_err(),
-                "cut at {end}"
-            );
+            assert!(decode_png(&whole[..end], Limits::default()).is_err(), "cut at {end}");
         }
-        let small = Limits {
-            side_px: 8,
-            ..Limits::default()
-        };
-        assert!(matches!(
-            png_size(&whole, small),
-            Err(DecodeError::TooLarge(40, 40, 8))
-        ));
+        let small = Limits { side_px: 8, ..Limits::default() };
+        assert!(matches!(png_size(&whole, small), Err(DecodeError::TooLarge(40, 40, 8))));
     }
 }

@@ -20,12 +20,7 @@ pub fn draw(pattern: &Pattern, display: &Display, gaze: &Gaze) -> Picture {
 fn pixel(pattern: &Pattern, display: &Display, gaze: &Gaze, column: u32, row: u32) -> [f64; 3] {
     match pattern {
         Pattern::Uniform { rgb } => *rgb,
-        Pattern::Grating {
-            cycles_per_degree,
-            contrast,
-            orientation_deg,
-            phase_deg,
-        } => {
+        Pattern::Grating { cycles_per_degree, contrast, orientation_deg, phase_deg } => {
             // Degrees from the gaze centre, x right, y up.
             let pixel_deg = display.pixel_radians().to_degrees();
             let x = (f64::from(column) + 0.5 - gaze.center_px[0]) * pixel_deg;

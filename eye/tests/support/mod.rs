@@ -1,5 +1,10 @@
 //! Scenes for the tests of the whole model, and a runner that builds a plan's artifacts.
-#![allow(dead_code, reason = "each test file uses a part")]
+#![allow(
+    dead_code,
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "each test file uses a part; tests fail by panicking"
+)]
 
 use std::collections::BTreeMap;
 
@@ -69,10 +74,7 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
         video: Video::Pattern(pattern),
         gaze: Gaze {
             center_px: [15.0, 15.0],
-            movement: Movement::Drift {
-                speed_arcmin_per_s: 6.0,
-                direction_deg: 30.0,
-            },
+            movement: Movement::Drift { speed_arcmin_per_s: 6.0, direction_deg: 30.0 },
         },
         counts: Counts {
             engine: Engine::Expected,
@@ -94,11 +96,7 @@ pub fn build(plan: &Plan) -> BTreeMap<Digest, Vec<u8>> {
     let mut built: BTreeMap<Digest, Vec<u8>> = BTreeMap::new();
     for artifact in &plan.artifacts {
         let started = std::time::Instant::now();
-        let inputs: Vec<Input> = artifact
-            .inputs
-            .iter()
-            .map(|k| (*k, built[k].as_slice()))
-            .collect();
+        let inputs: Vec<Input> = artifact.inputs.iter().map(|k| (*k, built[k].as_slice())).collect();
         let bytes = artifact.spec.build(&inputs).unwrap().bytes;
         if std::env::var_os("PHOTONEYE_TEST_TIMES").is_some() {
             println!(

@@ -9,7 +9,7 @@ mod results;
 use std::sync::Arc;
 
 use axum::body::Body;
-use axum::extract::Request;
+use axum::extract::{FromRequest as _, Request};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post, put};
 use axum::{Json, Router};
@@ -95,22 +95,25 @@ async fn spec_text(headers: &HeaderMap, body: Body) -> Result<String, Error> {
     if kind.starts_with(b"application/x-www-form-urlencoded") {
         // Some clients call everything a form; JSON begins with a brace, a form with a name.
         if !bytes.trim_ascii_start().starts_with(b"{") {
-            return form_field(&bytes);
+            return form_field(bytes).await;
         }
     }
     String::from_utf8(bytes.into()).map_err(|_| Error::new(Kind::Invalid, "the body is not UTF-8 text"))
 }
 
-fn form_field(bytes: &[u8]) -> Result<String, Error> {
+async fn form_field(bytes: bytes::Bytes) -> Result<String, Error> {
     #[derive(serde::Deserialize)]
-    struct Form {
+    struct Fields {
         spec: String,
     }
-    let uri = http::Uri::builder()
-        .path_and_query([b"/?", bytes].concat())
-        .build();
-    let uri = uri.map_err(|_| Error::new(Kind::Invalid, "the body is not a form"))?;
-    let form = axum::extract::Query::<Form>::try_from_uri(&uri);
+    let kind = (header::CONTENT_TYPE, "application/x-www-form-urlencoded");
+    let request = Request::builder()
+        .method(http::Method::POST)
+        .header(kind.0, kind.1);
+    let request = request
+        .body(Body::from(bytes))
+        .map_err(|_| Error::new(Kind::Invalid, "the body is not a form"))?;
+    let form = axum::Form::<Fields>::from_request(request, &()).await;
     Ok(form
         .map_err(|_| Error::new(Kind::Invalid, "the form has no field `spec`"))?
         .0

@@ -127,15 +127,18 @@ pub async fn work_on(channel: &Channel, real: bool) -> usize {
             Work::Nothing(_) => return count,
             Work::Build(build) => {
                 assert!(build.spec_json().starts_with('{'));
-                let (bytes, cones) = if real {
+                let (bytes, held) = if real {
                     built(channel, build).await
                 } else {
                     made_up(build)
                 };
+                if build.kind() == "cones" {
+                    cones = held.unwrap_or(cones);
+                }
                 let digest = put(channel, bytes).await;
                 v1::commit_request::Done::Artifact(v1::ArtifactResult {
                     digest: Some(digest),
-                    cones,
+                    cones: held,
                 })
             }
             Work::Shard(shard) => v1::commit_request::Done::Shard(counts(channel, shard, cones).await),
@@ -178,6 +181,10 @@ async fn built(channel: &Channel, build: &v1::Build) -> (Vec<u8>, Option<u64>) {
         inputs.push((input.key().parse().unwrap(), bytes));
     }
     let spec: ArtifactSpec = serde_json::from_str(build.spec_json()).unwrap();
+    let inputs: Vec<_> = inputs
+        .iter()
+        .map(|(key, bytes): &(_, Vec<u8>)| (*key, bytes.as_slice()))
+        .collect();
     let built = spec.build(&inputs).unwrap();
     (built.bytes, built.cones)
 }

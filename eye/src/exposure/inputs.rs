@@ -1,0 +1,66 @@
+//! What every engine starts from: the artifacts read back, and the scene's geometry, light and movement.
+
+use super::ExposureError;
+use super::kernel::Kernels;
+use super::scene::Scene;
+use super::source::Projector;
+use crate::cone::directional::Pointing;
+use crate::display::{emitters, pupil_share};
+use crate::experiment::Experiment;
+use crate::optics::{Prescription, Projection};
+use crate::plan::setup::{Setup, setup};
+use crate::retina::Retina;
+
+/// The inputs of an engine.
+pub struct Inputs {
+    /// The cones.
+    pub retina: Retina,
+    /// The optical kernels.
+    pub kernels: Kernels,
+    /// Screen and retina.
+    pub projection: Projection,
+    /// Window and grid.
+    pub scene: Scene,
+    /// Pointing factors of cones.
+    pub pointing: Pointing,
+    /// Light and movement.
+    pub projector: Projector,
+}
+
+impl Inputs {
+    /// Reads cones and kernels and prepares the rest from the experiment.
+    ///
+    /// # Errors
+    /// When an artifact is damaged or the experiment cannot be served.
+    pub fn read(experiment: &Experiment, artifacts: &[impl AsRef<[u8]>]) -> Result<Self, ExposureError> {
+        let model = ExposureError::Model;
+        let [cones, kernels] = artifacts else {
+            let given = artifacts.len();
+            return Err(model(format!("a shard needs its cones and kernels, not {given} artifacts")));
+        };
+        let retina = Retina::from_bytes(cones.as_ref())
+            .map_err(|e| ExposureError::Artifact("cones", e.to_string()))?;
+        let kernels =
+            Kernels::from_bytes(kernels.as_ref()).map_err(|e| ExposureError::Artifact("kernels", e))?;
+        let Setup { prescription, projection, gaze, scene, .. } =
+            setup(experiment).map_err(|e| model(e.to_string()))?;
+        let eye = &experiment.eye;
+        let per_radian = mm_per_radian(&projection, &prescription);
+        let pointing = Pointing::new(eye.stiles_crawford_rho10_per_mm2, eye.pupil_mm, per_radian);
+        let display = experiment.display.clone();
+        let projector = Projector {
+            emitters: emitters(&display).map_err(model)?,
+            pupil_share: pupil_share(&display, eye.pupil_mm),
+            gaze,
+            display,
+        };
+        Ok(Self { retina, kernels, projection, scene, pointing, projector })
+    }
+}
+
+/// Distance in the entrance pupil per angle at the cone, mm/rad: the posterior focal length n'/P, paraxially.
+fn mm_per_radian(projection: &Projection, prescription: &Prescription) -> f64 {
+    let nm = prescription.reference_wavelength_nm;
+    let eye = projection.eye();
+    1e3 * eye.indices(nm)[4] / eye.cardinal(nm).power_d
+}
