@@ -47,11 +47,7 @@ impl ExperimentFile {
             set(&mut value, change)?;
         }
         // Without changes the text itself is read, so that a field that is given twice is noticed.
-        let text = if changes.is_empty() {
-            text
-        } else {
-            value.to_string()
-        };
+        let text = if changes.is_empty() { text } else { value.to_string() };
         let experiment =
             experiment_from_json(&text).map_err(|error| Failure::usage(format!("{name}: {error}")))?;
         let folder = path.parent().unwrap_or(Path::new(""));
@@ -62,9 +58,7 @@ impl ExperimentFile {
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         Ok(Self {
             experiment,
-            stem: stem
-                .filter(|stem| stem != "-")
-                .unwrap_or_else(|| "experiment".into()),
+            stem: stem.filter(|stem| stem != "-").unwrap_or_else(|| "experiment".into()),
             pictures,
         })
     }
@@ -81,9 +75,8 @@ impl ExperimentFile {
         for picture in &self.pictures {
             blobs.push(client.put_blob(picture.bytes.clone()).await?);
         }
-        self.experiment.video = Some(v1::Video {
-            kind: Some(v1::video::Kind::Clip(v1::video::Clip { blobs })),
-        });
+        self.experiment.video =
+            Some(v1::Video { kind: Some(v1::video::Kind::Clip(v1::video::Clip { blobs })) });
         Ok(())
     }
 
@@ -108,9 +101,7 @@ fn read_text(path: &Path) -> Result<String, Failure> {
     let wrong = |error: std::io::Error| Failure::usage(format!("{}: {}", path.display(), plain(&error)));
     let mut text = String::new();
     if path == Path::new("-") {
-        std::io::stdin()
-            .take(MAX_SPEC_BYTES + 1)
-            .read_to_string(&mut text)
+        std::io::stdin().take(MAX_SPEC_BYTES + 1).read_to_string(&mut text)
     } else {
         let file = std::fs::File::open(path).map_err(wrong)?;
         file.take(MAX_SPEC_BYTES + 1).read_to_string(&mut text)
@@ -141,10 +132,7 @@ fn read_picture(path: &Path) -> Result<Picture, String> {
     }
     let bytes = Bytes::from(std::fs::read(path).map_err(|e| plain(&e))?);
     png_size(&bytes, Limits::default()).map_err(|e| e.to_string())?;
-    Ok(Picture {
-        path: path.to_owned(),
-        bytes,
-    })
+    Ok(Picture { path: path.to_owned(), bytes })
 }
 
 /// Applies one `a.b[0].c=value`; the value is JSON, or text when it is not.
@@ -153,9 +141,8 @@ fn read_picture(path: &Path) -> Result<Picture, String> {
 /// When the text has no such form or the place cannot be.
 pub fn set(root: &mut Value, change: &str) -> Result<(), Failure> {
     let wrong = |why: &str| Failure::usage(format!("--set {change}: {why}"));
-    let (path, text) = change
-        .split_once('=')
-        .ok_or_else(|| wrong("expected PATH=VALUE, for example eye.pupil_mm=5"))?;
+    let (path, text) =
+        change.split_once('=').ok_or_else(|| wrong("expected PATH=VALUE, for example eye.pupil_mm=5"))?;
     let value = serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.to_owned()));
     let mut place = root;
     for step in path.replace('[', ".[").split('.') {
@@ -199,15 +186,9 @@ mod tests {
     #[test]
     fn changes_reach_fields_lists_and_new_places() {
         assert_eq!(changed("eye.pupil_mm=5.5").unwrap()["eye"]["pupil_mm"], 5.5);
-        assert_eq!(
-            changed("gaze.center_px[1]=3").unwrap()["gaze"]["center_px"],
-            json!([15, 3])
-        );
+        assert_eq!(changed("gaze.center_px[1]=3").unwrap()["gaze"]["center_px"], json!([15, 3]));
         assert_eq!(changed("counts.noise=NONE").unwrap()["counts"]["noise"], "NONE");
-        assert_eq!(
-            changed("counts.seed=18446744073709551615").unwrap()["counts"]["seed"],
-            u64::MAX
-        );
+        assert_eq!(changed("counts.seed=18446744073709551615").unwrap()["counts"]["seed"], u64::MAX);
         assert_eq!(
             changed("gaze.movement={\"still\":{}}").unwrap()["gaze"]["movement"],
             json!({"still": {}})

@@ -13,9 +13,5 @@ pub async fn run(context: Context, args: JobArgs) -> Result<(), Failure> {
     if context.json {
         return output::json(&job);
     }
-    output::line(format_args!(
-        "{} {}",
-        job.id(),
-        format!("{:?}", job.state()).to_lowercase()
-    ))
+    output::line(format_args!("{} {}", job.id(), format!("{:?}", job.state()).to_lowercase()))
 }

@@ -56,11 +56,7 @@ fn explain(plan: &v1::Plan) -> Vec<String> {
         format!("Cones         about {}", summary::number(plan.predicted_cones())),
     ];
     if let [x0, x1, y0, y1] = plan.region_um[..] {
-        lines.push(format!(
-            "Patch         {:.0} x {:.0} µm of retina",
-            x1 - x0,
-            y1 - y0
-        ));
+        lines.push(format!("Patch         {:.0} x {:.0} µm of retina", x1 - x0, y1 - y0));
     }
     if let (Some(first), Some(last)) = (plan.wavelengths_nm.first(), plan.wavelengths_nm.last()) {
         lines.push(format!(
@@ -95,11 +91,7 @@ fn builds(plan: &v1::Plan) -> Vec<String> {
         let (there, needed, seconds) = kinds.entry(artifact.kind()).or_default();
         *there += u32::from(artifact.cached());
         *needed += 1;
-        *seconds += if artifact.cached() {
-            0.0
-        } else {
-            artifact.predicted_seconds()
-        };
+        *seconds += if artifact.cached() { 0.0 } else { artifact.predicted_seconds() };
     }
     let line = |(kind, (there, needed, seconds)): (&str, (u32, u32, f64))| {
         format!("Build         {needed} x {kind}, {there} there already, about {seconds:.2} s")

@@ -15,9 +15,5 @@ pub async fn run(context: Context, args: SubmitArgs) -> Result<(), Failure> {
     let key = args.request_id.unwrap_or_else(request_id);
     let job = client.create_job(experiment.experiment.clone(), &key).await;
     let job = job.map_err(|error| experiment.name_pictures(error.into()))?;
-    if context.json {
-        output::json(&job)
-    } else {
-        output::line(format_args!("{}", job.id()))
-    }
+    if context.json { output::json(&job) } else { output::line(format_args!("{}", job.id())) }
 }

@@ -22,9 +22,5 @@ pub async fn run(context: Context, args: JobArgs) -> Result<(), Failure> {
     if context.json {
         return Ok(());
     }
-    output::line(format_args!(
-        "{} succeeded, result {}",
-        job.id(),
-        job.result_digest()
-    ))
+    output::line(format_args!("{} succeeded, result {}", job.id(), job.result_digest()))
 }
