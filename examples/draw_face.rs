@@ -20,9 +20,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut encoder = png::Encoder::new(BufWriter::new(File::create(path)?), side, side);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
-    let pixels: Vec<u8> = (0..side * side)
-        .flat_map(|i| pixel(i % side, i / side, side))
-        .collect();
+    let pixels: Vec<u8> = (0..side * side).flat_map(|i| pixel(i % side, i / side, side)).collect();
     let mut writer = encoder.write_header()?;
     writer.write_image_data(&pixels)?;
     Ok(writer.finish()?)
@@ -41,11 +39,8 @@ fn pixel(column: u32, row: u32, side: u32) -> [u8; 3] {
     }
     sum.map(|total| {
         let linear = (total / f64::from(SAMPLES * SAMPLES)).clamp(0.0, 1.0);
-        let encoded = if linear <= 0.003_130_8 {
-            12.92 * linear
-        } else {
-            1.055 * linear.powf(1.0 / 2.4) - 0.055
-        };
+        let encoded =
+            if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
         (encoded * 255.0).round() as u8
     })
 }
@@ -64,12 +59,7 @@ fn light(x: f64, y: f64) -> Rgb {
     mouth(&mut colour, x, y);
     fringe(&mut colour, x, y);
     // A beauty spot on the cheek at the right of the picture.
-    paint(
-        &mut colour,
-        srgb(86, 48, 36),
-        ellipse(x, y, (0.625, 0.645), (0.016, 0.016)),
-        0.006,
-    );
+    paint(&mut colour, srgb(86, 48, 36), ellipse(x, y, (0.625, 0.645), (0.016, 0.016)), 0.006);
     colour
 }
 
@@ -84,12 +74,7 @@ fn hair_behind(colour: &mut Rgb, x: f64, y: f64) {
     let strands = 0.5 + 0.5 * (70.0 * (x + 0.18 * y)).sin();
     let lit = (-((x - 0.33).powi(2) + (y - 0.17).powi(2)) / 0.022).exp();
     let hair = mix(srgb(52, 28, 18), srgb(78, 43, 26), 0.6 * strands);
-    paint(
-        colour,
-        mix(hair, srgb(176, 112, 66), 0.85 * lit),
-        cap.min(falls),
-        0.012,
-    );
+    paint(colour, mix(hair, srgb(176, 112, 66), 0.85 * lit), cap.min(falls), 0.012);
 }
 
 fn shoulders(colour: &mut Rgb, x: f64, y: f64) {
@@ -101,40 +86,22 @@ fn neck(colour: &mut Rgb, x: f64, y: f64) {
     let throat = rounded_box(x, y, (0.5, 0.85), (0.092, 0.10), 0.06);
     // The chin throws a shadow.
     let shade = smooth(0.95, 0.80, y) * 0.75 + 0.25 * smooth(0.45, 0.62, x);
-    paint(
-        colour,
-        mix(srgb(232, 178, 148), srgb(132, 78, 60), shade),
-        throat,
-        0.01,
-    );
+    paint(colour, mix(srgb(232, 178, 148), srgb(132, 78, 60), shade), throat, 0.01);
 }
 
 /// The skull is an ellipsoid; its shading is that of a matt surface lit from the upper left, with a weak light from the right.
 fn head(colour: &mut Rgb, x: f64, y: f64) {
     let ear = ellipse(x, y, (0.265, 0.53), (0.035, 0.065)).min(ellipse(x, y, (0.735, 0.53), (0.035, 0.065)));
-    paint(
-        colour,
-        if x < 0.5 {
-            srgb(226, 160, 130)
-        } else {
-            srgb(140, 84, 66)
-        },
-        ear,
-        0.01,
-    );
-    let jaw = if y > 0.5 {
-        1.0 - 0.9 * (y - 0.5).powi(2) / 0.35
-    } else {
-        1.0
-    };
+    paint(colour, if x < 0.5 { srgb(226, 160, 130) } else { srgb(140, 84, 66) }, ear, 0.01);
+    let jaw = if y > 0.5 { 1.0 - 0.9 * (y - 0.5).powi(2) / 0.35 } else { 1.0 };
     let (u, v) = ((x - 0.5) / (0.232 * jaw), (y - 0.495) / 0.317);
     let inside = u * u + v * v;
     let normal_z = (1.0 - inside.min(1.0)).sqrt();
-    let key = (-0.62 * u - 0.42 * v + 0.66 * normal_z).max(0.0);
+    let key = (-0.58 * u - 0.20 * v + 0.79 * normal_z).max(0.0);
     let fill = (0.8 * u + 0.5 * normal_z).max(0.0);
     let skin = srgb(250, 200, 168);
     let warm = srgb(204, 120, 92);
-    let lit: Rgb = std::array::from_fn(|i| skin[i] * (0.10 + 0.95 * key) + 0.13 * warm[i] * fill);
+    let lit: Rgb = std::array::from_fn(|i| skin[i] * (0.12 + 0.88 * key) + 0.13 * warm[i] * fill);
     paint(colour, lit, (inside.sqrt() - 1.0) * 0.23, 0.012);
     for cheek in [0.395, 0.605] {
         let blush = (-((x - cheek).powi(2) + (y - 0.60).powi(2)) / 0.004).exp();
@@ -147,24 +114,13 @@ fn head(colour: &mut Rgb, x: f64, y: f64) {
 fn eye(colour: &mut Rgb, x: f64, y: f64, side: f64) {
     let (cx, cy) = (0.5 + 0.100 * side, 0.490);
     let socket = (-((x - cx).powi(2) / 0.0060 + (y - cy + 0.012).powi(2) / 0.0022)).exp();
-    *colour = mix(*colour, srgb(120, 66, 52), 0.40 * socket);
-    let white = if side < 0.0 {
-        srgb(246, 242, 236)
-    } else {
-        srgb(206, 196, 192)
-    };
-    let opening = ellipse(x, y, (cx, cy), (0.062, 0.034));
+    *colour = mix(*colour, srgb(150, 88, 70), 0.30 * socket);
+    let white = if side < 0.0 { srgb(246, 242, 236) } else { srgb(206, 196, 192) };
+    let opening = ellipse(x, y, (cx, cy + 0.006), (0.064, 0.040));
     paint(colour, white, opening, 0.006);
-    let iris = ellipse(x, y, (cx + 0.006, cy - 0.002), (0.030, 0.033)).max(opening);
+    let iris = ellipse(x, y, (cx + 0.006, cy + 0.004), (0.032, 0.038)).max(opening);
     paint(colour, srgb(58, 88, 96), iris, 0.006);
-    paint(
-        colour,
-        srgb(10, 10, 14),
-        ellipse(x, y, (cx + 0.006, cy - 0.002), (0.016, 0.018)),
-        0.005,
-    );
-    let lid = ellipse(x, y, (cx, cy - 0.034), (0.066, 0.012));
-    paint(colour, srgb(58, 30, 24), lid, 0.008);
+    paint(colour, srgb(10, 10, 14), ellipse(x, y, (cx + 0.006, cy + 0.004), (0.019, 0.022)), 0.005);
     // Brows are arches, a little lower at the temples.
     let outward = (x - cx) * side;
     let rise = -0.10 * outward - 2.5 * outward.powi(2);
@@ -189,22 +145,12 @@ fn mouth(colour: &mut Rgb, x: f64, y: f64) {
     let (u, smile) = (x - 0.5, 0.9 * (x - 0.5).powi(2));
     let upper = ellipse(x, y + smile, (0.5, 0.712), (0.088, 0.021));
     let lower = ellipse(x, y + smile, (0.5, 0.738), (0.072, 0.024));
-    paint(
-        colour,
-        mix(srgb(176, 58, 58), srgb(122, 34, 40), smooth(-0.06, 0.08, u)),
-        upper,
-        0.006,
-    );
-    paint(
-        colour,
-        mix(srgb(214, 92, 86), srgb(150, 52, 54), smooth(-0.06, 0.08, u)),
-        lower,
-        0.006,
-    );
+    paint(colour, mix(srgb(128, 26, 34), srgb(84, 12, 22), smooth(-0.06, 0.08, u)), upper, 0.006);
+    paint(colour, mix(srgb(158, 40, 46), srgb(104, 22, 30), smooth(-0.06, 0.08, u)), lower, 0.006);
     let line = ellipse(x, y + smile, (0.5, 0.723), (0.088, 0.006));
-    paint(colour, srgb(72, 18, 22), line, 0.006);
+    paint(colour, srgb(40, 6, 10), line, 0.006);
     let chin = (-((x - 0.5).powi(2) / 0.004 + (y - 0.780).powi(2) / 0.0003)).exp();
-    *colour = mix(*colour, srgb(120, 66, 52), 0.35 * chin);
+    *colour = mix(*colour, srgb(120, 66, 52), 0.15 * chin);
 }
 
 /// Hair over the forehead: the parting is at the left of the picture.
@@ -214,11 +160,7 @@ fn fringe(colour: &mut Rgb, x: f64, y: f64) {
     let left = ellipse(x, y, (0.315, 0.275), (0.085, 0.145));
     let strands = 0.5 + 0.5 * (75.0 * (x + 0.9 * y)).sin();
     let lit = (-((x - 0.44).powi(2) / 0.012 + (y - 0.185).powi(2) / 0.004)).exp();
-    let hair = mix(
-        mix(srgb(48, 26, 16), srgb(84, 46, 28), 0.6 * strands),
-        srgb(184, 118, 70),
-        0.8 * lit,
-    );
+    let hair = mix(mix(srgb(48, 26, 16), srgb(84, 46, 28), 0.6 * strands), srgb(184, 118, 70), 0.8 * lit);
     paint(colour, hair, right.min(left).max(forehead - 0.05), 0.012);
 }
 
@@ -234,10 +176,7 @@ fn ellipse(x: f64, y: f64, centre: (f64, f64), radii: (f64, f64)) -> f64 {
 }
 
 fn rounded_box(x: f64, y: f64, centre: (f64, f64), half: (f64, f64), radius: f64) -> f64 {
-    let (u, v) = (
-        (x - centre.0).abs() - half.0 + radius,
-        (y - centre.1).abs() - half.1 + radius,
-    );
+    let (u, v) = ((x - centre.0).abs() - half.0 + radius, (y - centre.1).abs() - half.1 + radius);
     u.max(0.0).hypot(v.max(0.0)) + u.max(v).min(0.0) - radius
 }
 
@@ -255,10 +194,6 @@ fn mix(a: Rgb, b: Rgb, part: f64) -> Rgb {
 fn srgb(r: u8, g: u8, b: u8) -> Rgb {
     [r, g, b].map(|value| {
         let v = f64::from(value) / 255.0;
-        if v <= 0.040_45 {
-            v / 12.92
-        } else {
-            ((v + 0.055) / 1.055).powf(2.4)
-        }
+        if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
     })
 }

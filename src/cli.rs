@@ -63,7 +63,7 @@ pub enum Command {
 pub struct SpecArgs {
     /// The experiment, a JSON file; - for standard input
     pub spec: PathBuf,
-    /// Change a field: eye.pupil_mm=5, counts.noise=NONE, gaze.center_px[0]=3
+    /// Change a field: eye.pupil_mm=5, counts.noise=NONE, retina.seed=9
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub set: Vec<String>,
 }
@@ -88,7 +88,7 @@ pub struct RunArgs {
     /// The experiment
     #[command(flatten)]
     pub spec: SpecArgs,
-    /// Result folder [default: out/<name of the experiment file>]
+    /// Result folder, by default out/ and the name of the experiment file
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Pictures

@@ -97,7 +97,7 @@ pub struct PsfArgs {
     /// Compute so many times and print seconds per point spread
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub repeat: u32,
-    /// Array [i][j] of f64; i along the retina's tangent away from the optical axis
+    /// Square array of f64, first index along the retina's tangent away from the optical axis
     #[arg(long, value_name = "FILE.npy")]
     pub out: PathBuf,
 }

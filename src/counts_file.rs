@@ -30,14 +30,7 @@ impl CountsFile {
         let head = read_head(&mut file).and_then(|text| parse(&text));
         let (means, [frames, cones], data) =
             head.ok_or_else(|| Failure::usage(format!("{name}: not an array [frame, cone] of u32 or f32")))?;
-        Ok(Self {
-            file,
-            name,
-            data,
-            means,
-            frames,
-            cones,
-        })
+        Ok(Self { file, name, data, means, frames, cones })
     }
 
     /// The values of one frame.
@@ -47,10 +40,7 @@ impl CountsFile {
     pub fn frame(&mut self, index: usize) -> Result<Vec<f64>, Failure> {
         let start = self.data + 4 * (index as u64) * (self.cones as u64);
         let mut bytes = vec![0; 4 * self.cones];
-        let read = self
-            .file
-            .seek(SeekFrom::Start(start))
-            .and_then(|_| self.file.read_exact(&mut bytes));
+        let read = self.file.seek(SeekFrom::Start(start)).and_then(|_| self.file.read_exact(&mut bytes));
         read.map_err(|e| Failure::failed(format!("{}: frame {index}: {}", self.name, plain(&e))))?;
         let words = bytes.chunks_exact(4).map(|b| [b[0], b[1], b[2], b[3]]);
         Ok(if self.means {

@@ -31,7 +31,6 @@ pub struct ExperimentFile {
 struct Picture {
     path: PathBuf,
     bytes: Bytes,
-    size: (u32, u32),
 }
 
 impl ExperimentFile {
@@ -48,11 +47,7 @@ impl ExperimentFile {
             set(&mut value, change)?;
         }
         // Without changes the text itself is read, so that a field that is given twice is noticed.
-        let text = if changes.is_empty() {
-            text
-        } else {
-            value.to_string()
-        };
+        let text = if changes.is_empty() { text } else { value.to_string() };
         let experiment =
             experiment_from_json(&text).map_err(|error| Failure::usage(format!("{name}: {error}")))?;
         let folder = path.parent().unwrap_or(Path::new(""));
@@ -63,9 +58,7 @@ impl ExperimentFile {
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         Ok(Self {
             experiment,
-            stem: stem
-                .filter(|stem| stem != "-")
-                .unwrap_or_else(|| "experiment".into()),
+            stem: stem.filter(|stem| stem != "-").unwrap_or_else(|| "experiment".into()),
             pictures,
         })
     }
@@ -82,32 +75,25 @@ impl ExperimentFile {
         for picture in &self.pictures {
             blobs.push(client.put_blob(picture.bytes.clone()).await?);
         }
-        self.experiment.video = Some(v1::Video {
-            kind: Some(v1::video::Kind::Clip(v1::video::Clip { blobs })),
-        });
+        self.experiment.video =
+            Some(v1::Video { kind: Some(v1::video::Kind::Clip(v1::video::Clip { blobs })) });
         Ok(())
     }
 
-    /// Holds the pictures against the display of the validated experiment.
-    ///
-    /// # Errors
-    /// The first picture of another size, by name.
-    pub fn check_sizes(&self, experiment_json: &str) -> Result<(), Failure> {
-        let validated: Value = serde_json::from_str(experiment_json).unwrap_or_default();
-        let of = |field: &str| validated["display"][field].as_u64();
-        let (Some(width), Some(height)) = (of("width_px"), of("height_px")) else {
-            return Ok(());
+    /// Says which file is meant where the server names an upload.
+    pub fn name_pictures(&self, failure: Failure) -> Failure {
+        let name = |text: String| {
+            let named = |(text, i): (String, usize), picture: &Picture| {
+                let path = picture.path.display().to_string();
+                (text.replace(&format!("video.clip.blobs[{i}]"), &path), i + 1)
+            };
+            self.pictures.iter().fold((text, 0), named).0
         };
-        for picture in &self.pictures {
-            let (w, h) = picture.size;
-            if (u64::from(w), u64::from(h)) != (width, height) {
-                return Err(Failure::usage(format!(
-                    "{}: the picture is {w}x{h} pixels, the display is {width}x{height} (display.width_px, display.height_px)",
-                    picture.path.display()
-                )));
-            }
+        match failure {
+            Failure::Usage(text) => Failure::Usage(name(text)),
+            Failure::Failed(text) => Failure::Failed(name(text)),
+            Failure::BrokenPipe => Failure::BrokenPipe,
         }
-        Ok(())
     }
 }
 
@@ -115,9 +101,7 @@ fn read_text(path: &Path) -> Result<String, Failure> {
     let wrong = |error: std::io::Error| Failure::usage(format!("{}: {}", path.display(), plain(&error)));
     let mut text = String::new();
     if path == Path::new("-") {
-        std::io::stdin()
-            .take(MAX_SPEC_BYTES + 1)
-            .read_to_string(&mut text)
+        std::io::stdin().take(MAX_SPEC_BYTES + 1).read_to_string(&mut text)
     } else {
         let file = std::fs::File::open(path).map_err(wrong)?;
         file.take(MAX_SPEC_BYTES + 1).read_to_string(&mut text)
@@ -147,12 +131,8 @@ fn read_picture(path: &Path) -> Result<Picture, String> {
         return Err(format!("{length} bytes, allowed are {MAX_PICTURE_BYTES}"));
     }
     let bytes = Bytes::from(std::fs::read(path).map_err(|e| plain(&e))?);
-    let size = png_size(&bytes, Limits::default()).map_err(|e| e.to_string())?;
-    Ok(Picture {
-        path: path.to_owned(),
-        bytes,
-        size,
-    })
+    png_size(&bytes, Limits::default()).map_err(|e| e.to_string())?;
+    Ok(Picture { path: path.to_owned(), bytes })
 }
 
 /// Applies one `a.b[0].c=value`; the value is JSON, or text when it is not.
@@ -161,9 +141,8 @@ fn read_picture(path: &Path) -> Result<Picture, String> {
 /// When the text has no such form or the place cannot be.
 pub fn set(root: &mut Value, change: &str) -> Result<(), Failure> {
     let wrong = |why: &str| Failure::usage(format!("--set {change}: {why}"));
-    let (path, text) = change
-        .split_once('=')
-        .ok_or_else(|| wrong("expected PATH=VALUE, for example eye.pupil_mm=5"))?;
+    let (path, text) =
+        change.split_once('=').ok_or_else(|| wrong("expected PATH=VALUE, for example eye.pupil_mm=5"))?;
     let value = serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.to_owned()));
     let mut place = root;
     for step in path.replace('[', ".[").split('.') {
@@ -207,15 +186,9 @@ mod tests {
     #[test]
     fn changes_reach_fields_lists_and_new_places() {
         assert_eq!(changed("eye.pupil_mm=5.5").unwrap()["eye"]["pupil_mm"], 5.5);
-        assert_eq!(
-            changed("gaze.center_px[1]=3").unwrap()["gaze"]["center_px"],
-            json!([15, 3])
-        );
+        assert_eq!(changed("gaze.center_px[1]=3").unwrap()["gaze"]["center_px"], json!([15, 3]));
         assert_eq!(changed("counts.noise=NONE").unwrap()["counts"]["noise"], "NONE");
-        assert_eq!(
-            changed("counts.seed=18446744073709551615").unwrap()["counts"]["seed"],
-            u64::MAX
-        );
+        assert_eq!(changed("counts.seed=18446744073709551615").unwrap()["counts"]["seed"], u64::MAX);
         assert_eq!(
             changed("gaze.movement={\"still\":{}}").unwrap()["gaze"]["movement"],
             json!({"still": {}})

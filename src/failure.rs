@@ -71,11 +71,7 @@ impl From<std::io::Error> for Failure {
 /// What clap says: help and version are a success, everything else is wrong use.
 pub fn of_arguments(error: &clap::Error) -> ExitCode {
     let _ = error.print();
-    if error.use_stderr() {
-        ExitCode::from(2)
-    } else {
-        ExitCode::SUCCESS
-    }
+    if error.use_stderr() { ExitCode::from(2) } else { ExitCode::SUCCESS }
 }
 
 /// The system's words without its error number.

@@ -41,9 +41,7 @@ fn init_log(verbose: u8) {
         _ => "info,photoneye=debug,photoneye_server=debug,photoneye_worker=debug",
     };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
-    let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr);
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     if log.try_init().is_err() {
         // Somebody else listens already; then they get the log.
     }

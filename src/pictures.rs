@@ -39,14 +39,9 @@ pub fn draw(folder: &Path, args: PictureArgs) -> Result<usize, Failure> {
     let view = View::new(&shapes, args.picture_px).map_err(Failure::usage)?;
     let mut mean = Mean::new(folder, &cones, &shapes, args.picture_px);
     for index in 0..drawn {
-        let png = view
-            .png(&shapes, &counts.frame(index)?)
-            .map_err(Failure::failed)?;
+        let png = view.png(&shapes, &counts.frame(index)?).map_err(Failure::failed)?;
         if let Some(mean) = mean.as_mut().filter(|_| drawn > 1) {
-            mean.add(
-                index,
-                &decode_png(&png, Limits::default()).map_err(Failure::failed)?,
-            );
+            mean.add(index, &decode_png(&png, Limits::default()).map_err(Failure::failed)?);
         }
         write(&frames.join(format!("{index:04}.png")), &png)?;
     }
@@ -67,12 +62,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
 
 /// Outlines for the model's painter. The visual field is mirrored when x_um and x_deg have opposite signs (a left eye).
 fn shapes(cones: &ConeColumns) -> ConeShapes {
-    let agreement: f64 = cones
-        .x_um
-        .iter()
-        .zip(&cones.x_deg)
-        .map(|(um, deg)| um * deg)
-        .sum();
+    let agreement: f64 = cones.x_um.iter().zip(&cones.x_deg).map(|(um, deg)| um * deg).sum();
     ConeShapes {
         start: cones.polygon_start.iter().map(|start| start / 2).collect(),
         corners: cones.polygon.chunks_exact(2).map(|c| [c[0], c[1]]).collect(),
@@ -118,9 +108,7 @@ impl Mean {
             self.sum = vec![0.0; 3 * width * height];
             self.weight = vec![0.0; width * height];
         }
-        let tangent = self
-            .gaze
-            .screen_tangent((index as f64 + 0.5) / self.frame_rate_hz);
+        let tangent = self.gaze.screen_tangent((index as f64 + 0.5) / self.frame_rate_hz);
         let shift = [
             tangent.x.atan().to_degrees() * self.px_per_deg,
             -tangent.y.atan().to_degrees() * self.px_per_deg,
@@ -158,9 +146,7 @@ fn sample(picture: &Picture, at: [f64; 2]) -> Option<[f64; 3]> {
     }
     let (u, v) = (at[0] - x, at[1] - y);
     let pixel = |dx: usize, dy: usize, i: usize| {
-        linear_from_srgb(f64::from(
-            picture.rgb[3 * ((y as usize + dy) * width + x as usize + dx) + i],
-        ))
+        linear_from_srgb(f64::from(picture.rgb[3 * ((y as usize + dy) * width + x as usize + dx) + i]))
     };
     Some(std::array::from_fn(|i| {
         let top = pixel(0, 0, i) * (1.0 - u) + pixel(1, 0, i) * u;
@@ -174,13 +160,7 @@ fn um_per_deg(cones: &ConeColumns) -> Option<f64> {
     let n = cones.len() as f64;
     let mean = |values: &[f64]| values.iter().sum::<f64>() / n;
     let (um, deg) = (mean(&cones.x_um), mean(&cones.x_deg));
-    let pairs = || {
-        cones
-            .x_um
-            .iter()
-            .map(move |x| x - um)
-            .zip(cones.x_deg.iter().map(move |x| x - deg))
-    };
+    let pairs = || cones.x_um.iter().map(move |x| x - um).zip(cones.x_deg.iter().map(move |x| x - deg));
     let (cross, square) = pairs().fold((0.0, 0.0), |(c, s), (a, b)| (c + a * b, s + b * b));
     (square > 0.0).then(|| (cross / square).abs())
 }
@@ -196,18 +176,10 @@ fn extent_um(shapes: &ConeShapes) -> f64 {
 }
 
 fn linear_from_srgb(value: f64) -> f64 {
-    if value <= 0.040_45 {
-        value / 12.92
-    } else {
-        ((value + 0.055) / 1.055).powf(2.4)
-    }
+    if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
 fn srgb_from_linear(light: f64) -> u8 {
-    let value = if light <= 0.003_130_8 {
-        12.92 * light
-    } else {
-        1.055 * light.powf(1.0 / 2.4) - 0.055
-    };
+    let value = if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
     (value.clamp(0.0, 1.0) * 255.0).round() as u8
 }

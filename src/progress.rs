@@ -23,19 +23,11 @@ impl Progress {
         let style = ProgressStyle::with_template("{elapsed:>4} [{bar:30}] {msg}");
         let bar = (!quiet && output::is_terminal()).then(|| {
             let bar = ProgressBar::with_draw_target(Some(100), ProgressDrawTarget::stderr());
-            bar.set_style(
-                style
-                    .unwrap_or_else(|_| ProgressStyle::default_bar())
-                    .progress_chars("=> "),
-            );
+            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
             bar.enable_steady_tick(Duration::from_millis(200));
             bar
         });
-        Self {
-            bar,
-            last: None,
-            quiet,
-        }
+        Self { bar, last: None, quiet }
     }
 
     /// Says what is being done outside the job.

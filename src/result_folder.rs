@@ -33,9 +33,7 @@ impl Draft {
         if out.exists() && !out.is_dir() {
             return Err(Failure::usage(format!("{} is not a folder", out.display())));
         }
-        let name = out
-            .file_name()
-            .map_or_else(|| "result".into(), |name| name.to_string_lossy());
+        let name = out.file_name().map_or_else(|| "result".into(), |name| name.to_string_lossy());
         let parent = match out.parent() {
             Some(parent) if parent != Path::new("") => parent,
             _ => Path::new("."),
@@ -46,10 +44,7 @@ impl Draft {
             .suffix(".tmp")
             .tempdir_in(parent)
             .map_err(|e| Failure::file("write to", parent, &e))?;
-        Ok(Self {
-            folder,
-            out: out.to_owned(),
-        })
+        Ok(Self { folder, out: out.to_owned() })
     }
 
     /// The folder that is being filled.
@@ -79,11 +74,7 @@ impl Draft {
         }
         for name in KNOWN {
             let (from, to) = (self.path().join(name), out.join(name));
-            let removed = if to.is_dir() {
-                fs::remove_dir_all(&to)
-            } else {
-                fs::remove_file(&to)
-            };
+            let removed = if to.is_dir() { fs::remove_dir_all(&to) } else { fs::remove_file(&to) };
             match removed {
                 Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
                     return Err(Failure::file("replace", &to, &e));
@@ -136,14 +127,7 @@ fn set_readable(path: &Path) {
 pub async fn fetch(client: &Client, job: &v1::Job, draft: &Draft) -> Result<String, Failure> {
     draft.write("cones.arrow", &client.cones(job.id()).await?)?;
     let frames = job.plan.as_ref().map_or(0, v1::Plan::frames) as usize;
-    fetch_counts(
-        client,
-        job.id(),
-        frames,
-        job.cones() as usize,
-        &draft.path().join("counts.npy"),
-    )
-    .await?;
+    fetch_counts(client, job.id(), frames, job.cones() as usize, &draft.path().join("counts.npy")).await?;
     let report = client.report(job.id()).await?;
     draft.write("report.json", report.as_bytes())?;
     Ok(report)
@@ -179,8 +163,7 @@ async fn fetch_counts(
         }
     }
     if layout.is_none() {
-        file.write_all(&npy::header(Scalar::U32, &[frames, cones]))
-            .map_err(failed)?;
+        file.write_all(&npy::header(Scalar::U32, &[frames, cones])).map_err(failed)?;
     }
     if filled == frames * cones {
         Ok(())
@@ -196,10 +179,7 @@ async fn fetch_counts(
 fn decode(message: &v1::ResultChunk) -> Result<Chunk, Failure> {
     let bytes = message.bytes.as_deref().unwrap_or_default();
     if BlobDigest::of(bytes).to_string() != message.digest() {
-        return Err(Failure::failed(format!(
-            "result chunk {} arrived damaged",
-            message.seq()
-        )));
+        return Err(Failure::failed(format!("result chunk {} arrived damaged", message.seq())));
     }
     read_counts(bytes).map_err(|error| Failure::failed(format!("result chunk {}: {error}", message.seq())))
 }
@@ -216,12 +196,7 @@ impl Layout {
     fn new(counts: &CountsVec, frames: usize, cones: usize) -> Self {
         let means = matches!(counts, CountsVec::F32(_));
         let scalar = if means { Scalar::F32 } else { Scalar::U32 };
-        Self {
-            header: npy::header(scalar, &[frames, cones]),
-            frames,
-            cones,
-            means,
-        }
+        Self { header: npy::header(scalar, &[frames, cones]), frames, cones, means }
     }
 
     fn offset(&self, chunk: &Chunk) -> Result<u64, Failure> {

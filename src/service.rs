@@ -17,6 +17,10 @@ use crate::cli::WhereArgs;
 use crate::failure::{Failure, plain};
 use crate::settings::{self, Settings};
 
+/// How long the first answer of a server may take.
+const FIRST_ANSWER: Duration = Duration::from_secs(1);
+/// How long a server may be away in the middle.
+const RESTART: Duration = Duration::from_mins(2);
 /// How long a stop waits for work that was begun.
 const DRAIN: Duration = Duration::from_secs(20);
 
@@ -38,6 +42,21 @@ pub struct Embedded {
     workers: Option<JoinHandle<()>>,
 }
 
+/// A client of a running server, when it answers; later on a restart of the server is waited for.
+///
+/// # Errors
+/// When the URL is wrong or nobody answers.
+pub async fn connect(url: &str) -> Result<Client, Failure> {
+    let client = Client::connect(url)?;
+    client
+        .clone()
+        .patience(FIRST_ANSWER)
+        .jobs("")
+        .await
+        .map_err(|error| Failure::failed(format!("{url}: {error}")))?;
+    Ok(client.patience(RESTART))
+}
+
 impl Service {
     /// The server that is asked for, or one started here.
     ///
@@ -45,17 +64,11 @@ impl Service {
     /// When the URL is wrong or the server in this process cannot start.
     pub async fn open(settings: &Settings, place: WhereArgs) -> Result<Self, Failure> {
         if let Some(url) = settings.server(place.server) {
-            return Ok(Self {
-                client: Client::connect(&url)?,
-                embedded: None,
-            });
+            return Ok(Self { client: connect(&url).await?, embedded: None });
         }
         let data = settings.data(place.data)?;
         let embedded = Embedded::start(&data, None, settings.workers(place.workers)).await?;
-        Ok(Self {
-            client: Client::from_channel(embedded.channel.clone()),
-            embedded: Some(embedded),
-        })
+        Ok(Self { client: Client::from_channel(embedded.channel.clone()), embedded: Some(embedded) })
     }
 
     /// Stops what was started here; `drain`: after the workers have finished what they began.
@@ -76,9 +89,7 @@ impl Embedded {
         // Without an address of its own it takes a free port of this machine; nobody is told which.
         options.listen = listen.map_or(SocketAddr::from(([127, 0, 0, 1], 0)), |listen| listen.address);
         options.insecure = listen.is_some_and(|listen| listen.insecure);
-        let server = Server::start(options)
-            .await
-            .map_err(|error| start_failure(&error))?;
+        let server = Server::start(options).await.map_err(|error| start_failure(&error))?;
         let channel = server.channel();
         let stop_workers = CancellationToken::new();
         let workers = if workers == 0 {
@@ -94,13 +105,7 @@ impl Embedded {
             let worker = Worker::new(channel.clone(), options).map_err(Failure::failed)?;
             Some(tokio::spawn(worker.run(stop_workers.clone())))
         };
-        Ok(Self {
-            channel,
-            address: server.local_addr(),
-            server,
-            stop_workers,
-            workers,
-        })
+        Ok(Self { channel, address: server.local_addr(), server, stop_workers, workers })
     }
 
     /// Stops the workers, after they have finished what they began when `drain` is set, then the server.
@@ -128,9 +133,9 @@ pub struct Listen {
 /// What starting says, with a way out when the folder is taken.
 fn start_failure(error: &StartError) -> Failure {
     match error {
-        StartError::InUse(_) => Failure::failed(format!(
-            "{error}; ask that one with --server, or give another --data"
-        )),
+        StartError::InUse(_) => {
+            Failure::failed(format!("{error}; ask that one with --server, or give another --data"))
+        }
         StartError::Listen(address, cause) => {
             Failure::failed(format!("cannot listen on {address}: {}", plain(cause)))
         }

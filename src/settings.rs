@@ -45,10 +45,7 @@ impl Settings {
                 .ok_or_else(|| Failure::usage(format!("{}: no such file", path.display())));
         }
         let user = folder_of("XDG_CONFIG_HOME", ".config");
-        let places = [
-            Some(PathBuf::from("photoneye.toml")),
-            user.map(|f| f.join("photoneye.toml")),
-        ];
+        let places = [Some(PathBuf::from("photoneye.toml")), user.map(|f| f.join("photoneye.toml"))];
         for path in places.iter().flatten() {
             if let Some(settings) = Self::read(path)? {
                 return Ok(settings);
@@ -64,9 +61,7 @@ impl Settings {
             Err(e) => return Err(Failure::usage(format!("{}: {}", path.display(), plain(&e)))),
         };
         let settings = toml::from_str(&text);
-        settings
-            .map(Some)
-            .map_err(|error| Failure::usage(format!("{}: {}", path.display(), error.message())))
+        settings.map(Some).map_err(|error| Failure::usage(format!("{}: {}", path.display(), error.message())))
     }
 
     /// The data folder.
@@ -75,11 +70,9 @@ impl Settings {
     /// When nothing says where and there is no home folder.
     pub fn data(&self, flag: Option<PathBuf>) -> Result<PathBuf, Failure> {
         let default = || folder_of("XDG_DATA_HOME", ".local/share").map(|folder| folder.join("photoneye"));
-        flag.or_else(|| self.data.clone())
-            .or_else(default)
-            .ok_or_else(|| {
-                Failure::usage("no data folder: give --data DIR or set PHOTONEYE_DATA (there is no HOME)")
-            })
+        flag.or_else(|| self.data.clone()).or_else(default).ok_or_else(|| {
+            Failure::usage("no data folder: give --data DIR or set PHOTONEYE_DATA (there is no HOME)")
+        })
     }
 
     /// Pieces of work done at the same time.
@@ -94,8 +87,7 @@ impl Settings {
 
     /// The server that is asked for, or the one on this machine.
     pub fn server_or_local(&self, flag: Option<String>) -> String {
-        self.server(flag)
-            .unwrap_or_else(|| format!("http://{DEFAULT_LISTEN}"))
+        self.server(flag).unwrap_or_else(|| format!("http://{DEFAULT_LISTEN}"))
     }
 
     /// Most bytes of local copies.
@@ -116,11 +108,7 @@ impl Settings {
 
 /// `$variable`, else `below` the home folder.
 fn folder_of(variable: &str, below: &str) -> Option<PathBuf> {
-    let set = |name: &str| {
-        env::var_os(name)
-            .filter(|value| !value.is_empty())
-            .map(PathBuf::from)
-    };
+    let set = |name: &str| env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     set(variable).or_else(|| set("HOME").map(|home| home.join(below)))
 }
 

@@ -71,9 +71,7 @@ fn cones(text: &mut String, report: &Value) {
 /// The mean over the listed frames.
 fn mean_of_type(report: &Value, name: &str) -> f64 {
     let frames = report["frames"].as_array().map_or(&[][..], Vec::as_slice);
-    let means = frames
-        .iter()
-        .filter_map(|frame| frame["types"][name]["mean"].as_f64());
+    let means = frames.iter().filter_map(|frame| frame["types"][name]["mean"].as_f64());
     let (sum, count) = means.fold((0.0, 0.0), |(sum, count), mean| (sum + mean, count + 1.0));
     if count > 0.0 { sum / count } else { 0.0 }
 }
@@ -84,10 +82,7 @@ fn seconds(text: &mut String, report: &Value) {
     let seconds = |value: &Value| value.as_f64().unwrap_or(0.0);
     let total: f64 = stages.values().map(seconds).sum();
     let wall = seconds(&report["wall_seconds"]);
-    let _ = writeln!(
-        text,
-        "Time          {wall:.2} s from start to end, {total:.2} s of work"
-    );
+    let _ = writeln!(text, "Time          {wall:.2} s from start to end, {total:.2} s of work");
     for (stage, value) in stages {
         let _ = writeln!(text, "              {:>6.2} s {stage}", seconds(value));
     }
@@ -97,11 +92,7 @@ fn seconds(text: &mut String, report: &Value) {
 }
 
 fn percent(part: f64, whole: f64) -> String {
-    if whole > 0.0 {
-        format!("{:.1} %", 100.0 * part / whole)
-    } else {
-        "–".into()
-    }
+    if whole > 0.0 { format!("{:.1} %", 100.0 * part / whole) } else { "–".into() }
 }
 
 /// 1234567 -> `1,234,567`; from ten million on `1.23e7`.
@@ -148,13 +139,7 @@ mod tests {
             "seconds": {"count": 0.5},
         });
         let text = of_report(&report, Path::new("out/x"), 1);
-        for part in [
-            "50 enter the pupil",
-            "50.0 % lost in the lens",
-            "50.0 % isomerize",
-            "10.00",
-            "out/x",
-        ] {
+        for part in ["50 enter the pupil", "50.0 % lost in the lens", "50.0 % isomerize", "10.00", "out/x"] {
             assert!(text.contains(part), "{part} is not in\n{text}");
         }
     }

@@ -36,9 +36,7 @@ fn files(folder: &str, ending: &str) -> Vec<String> {
 fn code(path: &str) -> String {
     let text = read(path);
     let text = text.split("#[cfg(test)]").next().unwrap_or_default();
-    let lines = text
-        .lines()
-        .map(|line| line.split("//").next().unwrap_or_default());
+    let lines = text.lines().map(|line| line.split("//").next().unwrap_or_default());
     lines.collect::<Vec<_>>().join("\n")
 }
 
@@ -49,13 +47,8 @@ fn dependencies(crate_folder: &str) -> BTreeSet<String> {
     let text = read(format!("{crate_folder}/Cargo.toml"));
     let section = text.split("\n[dependencies]").nth(1).unwrap_or_default();
     let section = section.split("\n[").next().unwrap_or_default();
-    let names = section
-        .lines()
-        .filter_map(|line| line.split(['.', ' ', '=']).next());
-    names
-        .filter(|name| !name.is_empty() && !name.starts_with('#'))
-        .map(str::to_owned)
-        .collect()
+    let names = section.lines().filter_map(|line| line.split(['.', ' ', '=']).next());
+    names.filter(|name| !name.is_empty() && !name.starts_with('#')).map(str::to_owned).collect()
 }
 
 #[test]
@@ -83,12 +76,8 @@ fn crates_know_only_whom_they_may() {
 
 #[test]
 fn heavy_crates_stay_in_their_place() {
-    let homes: [(&str, &[&str]); 4] = [
-        ("sqlx", &["server"]),
-        ("axum", &["server"]),
-        ("rayon", &["eye"]),
-        ("rustfft", &["eye"]),
-    ];
+    let homes: [(&str, &[&str]); 4] =
+        [("sqlx", &["server"]), ("axum", &["server"]), ("rayon", &["eye"]), ("rustfft", &["eye"])];
     for (heavy, may) in homes {
         for name in CRATES.into_iter().chain(["."]) {
             assert!(
@@ -98,10 +87,7 @@ fn heavy_crates_stay_in_their_place() {
         }
     }
     for asynchronous in ["tokio", "tonic", "prost", "futures", "tracing"] {
-        assert!(
-            !dependencies("eye").contains(asynchronous),
-            "eye must not depend on {asynchronous}"
-        );
+        assert!(!dependencies("eye").contains(asynchronous), "eye must not depend on {asynchronous}");
     }
 }
 
@@ -131,16 +117,11 @@ fn the_model_does_no_input_or_output_and_reads_no_clock() {
 
 #[test]
 fn no_code_behind_the_lowering_names_a_device_or_an_eye() {
-    let names = files("data/displays", ".json")
-        .into_iter()
-        .chain(files("data/eyes", ".json"));
-    let names: Vec<String> = names
-        .filter_map(|path| Some(Path::new(&path).file_stem()?.to_string_lossy().into_owned()))
-        .collect();
+    let names = files("data/displays", ".json").into_iter().chain(files("data/eyes", ".json"));
+    let names: Vec<String> =
+        names.filter_map(|path| Some(Path::new(&path).file_stem()?.to_string_lossy().into_owned())).collect();
     assert!(!names.is_empty());
-    for folder in [
-        "exposure", "optics", "psf", "retina", "cone", "movement", "picture",
-    ] {
+    for folder in ["exposure", "optics", "psf", "retina", "cone", "movement", "picture"] {
         for file in files(&format!("eye/src/{folder}"), ".rs") {
             for name in &names {
                 assert!(!code(&file).contains(name.as_str()), "{file} names {name}");
@@ -162,57 +143,31 @@ fn every_source_file_opens_by_saying_what_it_is() {
 fn the_code_map_names_every_crate_and_every_module_of_the_model() {
     let page = read("ARCHITECTURE.md");
     let manifest = read("Cargo.toml");
-    let members = manifest
-        .split("members = [")
-        .nth(1)
-        .unwrap()
-        .split(']')
-        .next()
-        .unwrap()
-        .to_owned();
+    let members = manifest.split("members = [").nth(1).unwrap().split(']').next().unwrap().to_owned();
     for member in members.split(',').map(|name| name.trim().trim_matches('"')) {
-        assert!(
-            page.contains(&format!("`{member}/`")),
-            "the code map does not name {member}/"
-        );
+        assert!(page.contains(&format!("`{member}/`")), "the code map does not name {member}/");
     }
     let modules = read("eye/src/lib.rs");
-    let modules = modules
-        .lines()
-        .filter_map(|line| line.strip_prefix("pub mod ")?.strip_suffix(';'));
+    let modules = modules.lines().filter_map(|line| line.strip_prefix("pub mod ")?.strip_suffix(';'));
     for module in modules {
         let named = [format!("`{module}.rs`"), format!("`{module}/`")];
-        assert!(
-            named.iter().any(|name| page.contains(name)),
-            "the code map does not name eye's {module}"
-        );
+        assert!(named.iter().any(|name| page.contains(name)), "the code map does not name eye's {module}");
     }
 }
 
 #[test]
 fn every_invariant_names_a_test_that_is_there() {
     let page = read("ARCHITECTURE.md");
-    let section = page
-        .split("\n## Invariants")
-        .nth(1)
-        .unwrap()
-        .split("\n## ")
-        .next()
-        .unwrap();
-    let invariants: Vec<&str> = section
-        .lines()
-        .filter(|line| line.starts_with(|c: char| c.is_ascii_digit()))
-        .collect();
+    let section = page.split("\n## Invariants").nth(1).unwrap().split("\n## ").next().unwrap();
+    let invariants: Vec<&str> =
+        section.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit())).collect();
     assert_eq!(invariants.len(), 10);
     for invariant in invariants {
         let named: Vec<&str> = invariant.split('`').filter(|word| word.contains("::")).collect();
         assert!(!named.is_empty(), "no test is named: {invariant}");
         for name in named {
             let (file, test) = name.split_once("::").unwrap();
-            assert!(
-                read(file).contains(&format!("fn {test}(")),
-                "{file} has no test {test}"
-            );
+            assert!(read(file).contains(&format!("fn {test}(")), "{file} has no test {test}");
         }
     }
 }
@@ -224,10 +179,7 @@ fn every_data_file_has_its_source() {
         for file in files(&format!("data/{folder}"), "") {
             let name = file.strip_prefix("data/").unwrap();
             let hidden = name.contains("/.");
-            assert!(
-                hidden || sources.contains(name),
-                "data/SOURCES.md does not name {name}"
-            );
+            assert!(hidden || sources.contains(name), "data/SOURCES.md does not name {name}");
         }
     }
 }

@@ -26,9 +26,7 @@ impl Client {
                 async move { service.put(futures::stream::iter(messages)).await }
             })
             .await?;
-        reply
-            .digest
-            .ok_or(ClientError::Protocol("an upload without digest"))
+        reply.digest.ok_or(ClientError::Protocol("an upload without digest"))
     }
 
     /// Downloads the bytes of a digest.
@@ -36,9 +34,7 @@ impl Client {
     /// # Errors
     /// When there is no such blob or the server cannot be reached.
     pub async fn get_blob(&self, digest: &str) -> Result<Bytes, ClientError> {
-        let request = v1::GetBlobRequest {
-            digest: Some(digest.to_owned()),
-        };
+        let request = v1::GetBlobRequest { digest: Some(digest.to_owned()) };
         let mut pauses = Pauses::new(self.patience);
         loop {
             let status = match self.blobs().get(request.clone()).await {
@@ -72,11 +68,7 @@ impl Client {
 }
 
 async fn retry_or_give_up(pauses: &mut Pauses, status: tonic::Status) -> Result<(), ClientError> {
-    if is_transient(&status) {
-        pauses.pause(status).await
-    } else {
-        Err(status.into())
-    }
+    if is_transient(&status) { pauses.pause(status).await } else { Err(status.into()) }
 }
 
 /// The messages of an upload: the declared size, then the bytes.
@@ -85,10 +77,7 @@ fn upload(bytes: &Bytes) -> Vec<v1::PutBlobRequest> {
     let message = |part| v1::PutBlobRequest { part: Some(part) };
     let starts = (0..bytes.len()).step_by(PIECE);
     let pieces = starts.map(|start| bytes.slice(start..(start + PIECE).min(bytes.len())));
-    std::iter::once(Part::Size(bytes.len() as u64))
-        .chain(pieces.map(Part::Bytes))
-        .map(message)
-        .collect()
+    std::iter::once(Part::Size(bytes.len() as u64)).chain(pieces.map(Part::Bytes)).map(message).collect()
 }
 
 async fn collect(mut pieces: tonic::Streaming<v1::GetBlobReply>) -> Result<Bytes, tonic::Status> {

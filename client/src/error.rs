@@ -54,7 +54,8 @@ fn innermost(status: &Status) -> String {
     while let Some(next) = cause.and_then(std::error::Error::source) {
         cause = Some(next);
     }
-    cause.map_or_else(|| status.message().to_owned(), ToString::to_string)
+    let text = cause.map_or_else(|| status.message().to_owned(), ToString::to_string);
+    text.split(" (os error").next().unwrap_or_default().to_lowercase()
 }
 
 #[cfg(test)]

@@ -75,10 +75,7 @@ impl Client {
 
     /// A client over a channel that exists, for example one to a server in the same process.
     pub fn from_channel(channel: Channel) -> Self {
-        Self {
-            channel,
-            patience: Duration::from_secs(30),
-        }
+        Self { channel, patience: Duration::from_secs(30) }
     }
 
     /// How long a call goes on trying while the server is away. Default 30 s.
@@ -98,9 +95,7 @@ impl Client {
     /// # Errors
     /// The field that is wrong, or that the server cannot be reached.
     pub async fn plan(&self, experiment: v1::Experiment) -> Result<v1::PlanReply, ClientError> {
-        let request = v1::PlanRequest {
-            experiment: Some(experiment),
-        };
+        let request = v1::PlanRequest { experiment: Some(experiment) };
         self.repeat(|| {
             let (mut service, request) = (self.experiments(), request.clone());
             async move { service.plan(request).await }
@@ -117,10 +112,8 @@ impl Client {
         experiment: v1::Experiment,
         request_id: &str,
     ) -> Result<v1::Job, ClientError> {
-        let request = v1::CreateJobRequest {
-            experiment: Some(experiment),
-            request_id: Some(request_id.to_owned()),
-        };
+        let request =
+            v1::CreateJobRequest { experiment: Some(experiment), request_id: Some(request_id.to_owned()) };
         self.repeat(|| {
             let (mut service, request) = (self.experiments(), request.clone());
             async move { service.create_job(request).await }
@@ -146,10 +139,8 @@ impl Client {
     /// # Errors
     /// When the page is unknown or the server cannot be reached.
     pub async fn jobs(&self, page: &str) -> Result<v1::ListJobsReply, ClientError> {
-        let request = v1::ListJobsRequest {
-            page: (!page.is_empty()).then(|| page.to_owned()),
-            page_size: None,
-        };
+        let request =
+            v1::ListJobsRequest { page: (!page.is_empty()).then(|| page.to_owned()), page_size: None };
         self.repeat(|| {
             let (mut service, request) = (self.experiments(), request.clone());
             async move { service.list_jobs(request).await }
@@ -202,9 +193,7 @@ impl Client {
 }
 
 fn job_request(id: &str) -> v1::JobRequest {
-    v1::JobRequest {
-        id: Some(id.to_owned()),
-    }
+    v1::JobRequest { id: Some(id.to_owned()) }
 }
 
 /// Growing pauses between repetitions, until the patience is used up.
@@ -217,11 +206,7 @@ pub(crate) struct Pauses {
 
 impl Pauses {
     pub(crate) fn new(patience: Duration) -> Self {
-        Self {
-            patience,
-            left: patience,
-            next: FIRST_PAUSE,
-        }
+        Self { patience, left: patience, next: FIRST_PAUSE }
     }
 
     /// After a success: all the patience is back.

@@ -1,15 +1,14 @@
 //! `jobs`: the jobs of a server, newest first.
 
-use photoneye_client::Client;
-
 use super::Context;
 use crate::cli::ServerArgs;
 use crate::failure::Failure;
 use crate::output;
+use crate::service::connect;
 
 /// Runs the command.
 pub async fn run(context: Context, args: ServerArgs) -> Result<(), Failure> {
-    let client = Client::connect(&context.settings.server_or_local(args.server))?;
+    let client = connect(&context.settings.server_or_local(args.server)).await?;
     let mut page = String::new();
     loop {
         let reply = client.jobs(&page).await?;

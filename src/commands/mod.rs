@@ -34,10 +34,7 @@ pub struct Context {
 /// # Errors
 /// Why it could not be done.
 pub fn run(cli: Cli) -> Result<(), Failure> {
-    let context = Context {
-        settings: Settings::load(cli.config.as_deref())?,
-        json: cli.json,
-    };
+    let context = Context { settings: Settings::load(cli.config.as_deref())?, json: cli.json };
     match cli.command {
         Command::Run(args) => block_on(run::run(context, args)),
         Command::Plan(args) => block_on(plan::run(context, args)),
@@ -56,10 +53,8 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
 }
 
 fn block_on(work: impl Future<Output = Result<(), Failure>>) -> Result<(), Failure> {
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .build()
-        .map_err(Failure::failed)?;
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().enable_all().build().map_err(Failure::failed)?;
     let outcome = runtime.block_on(work);
     // Work on blocking threads that nobody waits for any more must not hold up the end.
     runtime.shutdown_background();
@@ -73,10 +68,7 @@ pub fn interrupted() -> impl Future<Output = ()> {
         use tokio::signal::unix::{SignalKind, signal};
         let mut signals = [SignalKind::interrupt(), SignalKind::terminate()].map(|kind| signal(kind).ok());
         std::future::poll_fn(move |context| {
-            let mut came = signals
-                .iter_mut()
-                .flatten()
-                .map(|signal| signal.poll_recv(context).is_ready());
+            let mut came = signals.iter_mut().flatten().map(|signal| signal.poll_recv(context).is_ready());
             // Both are asked, so that both wake us.
             if came.by_ref().fold(false, |any, one| any | one) {
                 std::task::Poll::Ready(())

@@ -1,5 +1,7 @@
 //! `plan`: what would be computed, what is left out and why, and what it costs.
 
+use std::collections::BTreeMap;
+
 use photoneye_proto::v1;
 
 use super::Context;
@@ -31,9 +33,8 @@ pub async fn run(context: Context, args: PlanArgs) -> Result<(), Failure> {
 
 async fn ask(service: &Service, experiment: &mut ExperimentFile) -> Result<v1::PlanReply, Failure> {
     experiment.upload(&service.client).await?;
-    let reply = service.client.plan(experiment.experiment.clone()).await?;
-    experiment.check_sizes(reply.experiment_json())?;
-    Ok(reply)
+    let reply = service.client.plan(experiment.experiment.clone()).await;
+    reply.map_err(|error| experiment.name_pictures(error.into()))
 }
 
 /// The plan's own fields, and the experiment with every default filled in.
@@ -55,11 +56,7 @@ fn explain(plan: &v1::Plan) -> Vec<String> {
         format!("Cones         about {}", summary::number(plan.predicted_cones())),
     ];
     if let [x0, x1, y0, y1] = plan.region_um[..] {
-        lines.push(format!(
-            "Patch         {:.0} x {:.0} µm of retina",
-            x1 - x0,
-            y1 - y0
-        ));
+        lines.push(format!("Patch         {:.0} x {:.0} µm of retina", x1 - x0, y1 - y0));
     }
     if let (Some(first), Some(last)) = (plan.wavelengths_nm.first(), plan.wavelengths_nm.last()) {
         lines.push(format!(
@@ -70,18 +67,7 @@ fn explain(plan: &v1::Plan) -> Vec<String> {
             plan.grid_height()
         ));
     }
-    for artifact in &plan.artifacts {
-        let state = if artifact.cached() {
-            "there already"
-        } else {
-            "to build"
-        };
-        lines.push(format!(
-            "Build         {} ({state}, about {:.2} s)",
-            artifact.kind(),
-            artifact.predicted_seconds()
-        ));
-    }
+    lines.extend(builds(plan));
     for omission in &plan.omissions {
         lines.push(format!(
             "Left out      {}: {} (error at most {:.1e})",
@@ -96,4 +82,19 @@ fn explain(plan: &v1::Plan) -> Vec<String> {
         plan.predicted_bytes() / 1e6
     ));
     lines
+}
+
+/// One line a kind of artifact.
+fn builds(plan: &v1::Plan) -> Vec<String> {
+    let mut kinds: BTreeMap<&str, (u32, u32, f64)> = BTreeMap::new();
+    for artifact in &plan.artifacts {
+        let (there, needed, seconds) = kinds.entry(artifact.kind()).or_default();
+        *there += u32::from(artifact.cached());
+        *needed += 1;
+        *seconds += if artifact.cached() { 0.0 } else { artifact.predicted_seconds() };
+    }
+    let line = |(kind, (there, needed, seconds)): (&str, (u32, u32, f64))| {
+        format!("Build         {needed} x {kind}, {there} there already, about {seconds:.2} s")
+    };
+    kinds.into_iter().map(line).collect()
 }

@@ -19,9 +19,7 @@ pub(super) const EYE: &str = "escudero-sanz-navarro";
 /// Runs the command.
 pub fn run(context: &Context, args: &PsfArgs) -> Result<(), Failure> {
     if !(args.half_width_um > 0.0 && args.half_width_um <= 5000.0) {
-        return Err(Failure::usage(
-            "--half-width-um: allowed is more than 0 and at most 5000",
-        ));
+        return Err(Failure::usage("--half-width-um: allowed is more than 0 and at most 5000"));
     }
     if !(365.0..=1014.0).contains(&args.wavelength_nm) {
         return Err(Failure::usage("--wavelength-nm: allowed are 365 to 1014"));
@@ -91,17 +89,9 @@ fn tell(
             "out": args.out,
         }));
     }
-    output::line(format_args!(
-        "Strehl ratio    {:.4} at the chief ray",
-        wavefront.strehl()
-    ))?;
-    output::line(format_args!(
-        "wavefront error {:.4} waves rms",
-        wavefront.rms_waves()
-    ))?;
-    output::line(format_args!(
-        "energy          {energy:.4} of the light is in the window"
-    ))?;
+    output::line(format_args!("Strehl ratio    {:.4} at the chief ray", wavefront.strehl()))?;
+    output::line(format_args!("wavefront error {:.4} waves rms", wavefront.rms_waves()))?;
+    output::line(format_args!("energy          {energy:.4} of the light is in the window"))?;
     output::line(format_args!("time            {seconds:.6} s per point spread"))
 }
 
@@ -109,9 +99,5 @@ fn tell(
 fn nodes(args: &PsfArgs) -> HuygensOptions {
     let strength = (args.pupil_mm / 3.0).powi(2).max(1.0);
     let radial = ((14.0 + 0.65 * args.half_width_um) * strength).clamp(14.0, 400.0) as usize;
-    HuygensOptions {
-        radial,
-        azimuth: 3 * radial + 6,
-        exact_distance: true,
-    }
+    HuygensOptions { radial, azimuth: 3 * radial + 6, exact_distance: true }
 }

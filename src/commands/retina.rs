@@ -43,17 +43,9 @@ pub fn run(context: &Context, args: &RetinaArgs) -> Result<(), Failure> {
     let setup = setup(&experiment).map_err(Failure::usage)?;
     let scale = setup.retina.geometry.visual_deg_per_um;
     let traced = args.to_deg <= TRACED_DEG;
-    let region = if traced {
-        traced_region(&setup, args.to_deg)?
-    } else {
-        square(args.to_deg / scale)
-    };
+    let region = if traced { traced_region(&setup, args.to_deg)? } else { square(args.to_deg / scale) };
     let retina = build_region(&setup.retina, &region).map_err(Failure::usage)?;
-    let table = if traced {
-        traced_table(&experiment, &retina)?
-    } else {
-        scaled_table(&retina, scale)
-    };
+    let table = if traced { traced_table(&experiment, &retina)? } else { scaled_table(&retina, scale) };
     let table = ring(&table, args.from_deg, args.to_deg);
     write_file(&args.out, &cones_file(&table).map_err(Failure::failed)?)?;
     tell(context, args, &table, &statistics(&retina).bands)
@@ -65,15 +57,9 @@ fn again_with_threads(threads: usize) -> Result<(), Failure> {
         return Err(Failure::usage("--threads: allowed is 1 or more"));
     }
     let program = std::env::current_exe()?;
-    let status = Command::new(program)
-        .args(std::env::args_os().skip(1))
-        .env(THREADS, threads.to_string())
-        .status()?;
-    if status.success() {
-        Ok(())
-    } else {
-        std::process::exit(status.code().unwrap_or(1))
-    }
+    let status =
+        Command::new(program).args(std::env::args_os().skip(1)).env(THREADS, threads.to_string()).status()?;
+    if status.success() { Ok(()) } else { std::process::exit(status.code().unwrap_or(1)) }
 }
 
 /// The experiment whose retina is asked for: all defaults but those that were set.
@@ -91,10 +77,7 @@ fn experiment(args: &RetinaArgs) -> Result<Experiment, Failure> {
 }
 
 fn square(half_um: f64) -> RegionUm {
-    RegionUm {
-        min: DVec2::splat(-half_um),
-        max: DVec2::splat(half_um),
-    }
+    RegionUm { min: DVec2::splat(-half_um), max: DVec2::splat(half_um) }
 }
 
 /// A rectangle of retina that holds everything out to a visual angle.
@@ -104,18 +87,12 @@ fn traced_region(setup: &Setup, to_deg: f64) -> Result<RegionUm, Failure> {
         let direction = DVec2::from_angle(std::f64::consts::TAU * f64::from(step) / 64.0);
         let tangent = direction * to_deg.to_radians().tan();
         let wavelength = setup.prescription.reference_wavelength_nm;
-        let um = setup
-            .projection
-            .retina_um(tangent, wavelength)
-            .map_err(Failure::usage)?;
+        let um = setup.projection.retina_um(tangent, wavelength).map_err(Failure::usage)?;
         (min, max) = (min.min(um), max.max(um));
     }
     // Between the directions the outline bulges by less than this.
     let margin = 2.0 + 0.002 * (max - min).length();
-    Ok(RegionUm {
-        min: min - margin,
-        max: max + margin,
-    })
+    Ok(RegionUm { min: min - margin, max: max + margin })
 }
 
 fn traced_table(experiment: &Experiment, retina: &Retina) -> Result<ConeColumns, Failure> {
@@ -142,11 +119,7 @@ fn scaled_table(retina: &Retina, deg_per_um: f64) -> ConeColumns {
         id: retina.id.clone(),
         x_um: retina.x_um.clone(),
         y_um: retina.y_um.clone(),
-        kind: retina
-            .cone_type
-            .iter()
-            .map(|cone_type| *cone_type as u8)
-            .collect(),
+        kind: retina.cone_type.iter().map(|cone_type| *cone_type as u8).collect(),
         aperture_um2: retina.aperture_um2.clone(),
         polygon_start: retina.polygon_start.iter().map(|corner| 2 * corner).collect(),
         ..ConeColumns::default()
@@ -156,9 +129,7 @@ fn scaled_table(retina: &Retina, deg_per_um: f64) -> ConeColumns {
         table.x_deg.push(at.x * deg_per_um);
         table.y_deg.push(-at.y * deg_per_um);
         table.ecc_deg.push(at.length() * deg_per_um);
-        table
-            .meridian_deg
-            .push(at.y.atan2(at.x).to_degrees().rem_euclid(360.0));
+        table.meridian_deg.push(at.y.atan2(at.x).to_degrees().rem_euclid(360.0));
         for corner in retina.polygon(cone) {
             table.polygon.extend([corner.x as f32, corner.y as f32]);
         }
@@ -168,10 +139,7 @@ fn scaled_table(retina: &Retina, deg_per_um: f64) -> ConeColumns {
 
 /// The rows between two eccentricities.
 fn ring(table: &ConeColumns, from_deg: f64, to_deg: f64) -> ConeColumns {
-    let mut out = ConeColumns {
-        polygon_start: vec![0],
-        ..ConeColumns::default()
-    };
+    let mut out = ConeColumns { polygon_start: vec![0], ..ConeColumns::default() };
     for cone in (0..table.len()).filter(|&cone| (from_deg..=to_deg).contains(&table.ecc_deg[cone])) {
         out.id.push(table.id[cone]);
         out.x_um.push(table.x_um[cone]);
@@ -194,11 +162,7 @@ fn tell(context: &Context, args: &RetinaArgs, table: &ConeColumns, bands: &[Band
         types[usize::from(*kind).min(2)] += 1;
     }
     let [l, m, s] = types;
-    let bands = || {
-        bands
-            .iter()
-            .filter(|band| band.from_deg < args.to_deg && band.to_deg > args.from_deg)
-    };
+    let bands = || bands.iter().filter(|band| band.from_deg < args.to_deg && band.to_deg > args.from_deg);
     if context.json {
         let bands: Vec<Value> = bands().map(band_json).collect();
         let types = json!({"l": l, "m": m, "s": s});

@@ -24,9 +24,7 @@ const CANCEL_WAIT: Duration = Duration::from_secs(5);
 pub async fn run(context: Context, args: RunArgs) -> Result<(), Failure> {
     // Everything that can be wrong on this side is found before anything is started.
     let mut experiment = ExperimentFile::read(&args.spec.spec, &args.spec.set)?;
-    let out = args
-        .out
-        .unwrap_or_else(|| PathBuf::from("out").join(&experiment.stem));
+    let out = args.out.unwrap_or_else(|| PathBuf::from("out").join(&experiment.stem));
     let draft = Draft::new(&out)?;
 
     let mut stop = std::pin::pin!(interrupted());
@@ -52,15 +50,13 @@ async fn submit(
     quiet: bool,
 ) -> Result<(v1::Job, Progress), Failure> {
     experiment.upload(client).await?;
-    let plan = client.plan(experiment.experiment.clone()).await?;
-    experiment.check_sizes(plan.experiment_json())?;
+    let plan = client.plan(experiment.experiment.clone()).await;
+    let plan = plan.map_err(|error| experiment.name_pictures(error.into()))?;
     let mut progress = Progress::new(quiet);
     if let Some(plan) = &plan.plan {
         progress.say(&forecast(plan));
     }
-    let job = client
-        .create_job(experiment.experiment.clone(), &request_id())
-        .await?;
+    let job = client.create_job(experiment.experiment.clone(), &request_id()).await?;
     Ok((job, progress))
 }
 
@@ -80,12 +76,10 @@ async fn complete(
 async fn cancel(client: &Client, id: &str) -> Failure {
     match tokio::time::timeout(CANCEL_WAIT, client.cancel(id)).await {
         Ok(Ok(_)) => Failure::failed("interrupted, the job was cancelled"),
-        Ok(Err(error)) => Failure::failed(format!(
-            "interrupted, but the job {id} could not be cancelled: {error}"
-        )),
-        Err(_) => Failure::failed(format!(
-            "interrupted, but the job {id} could not be cancelled in time"
-        )),
+        Ok(Err(error)) => {
+            Failure::failed(format!("interrupted, but the job {id} could not be cancelled: {error}"))
+        }
+        Err(_) => Failure::failed(format!("interrupted, but the job {id} could not be cancelled in time")),
     }
 }
 
@@ -139,10 +133,7 @@ fn forecast(plan: &v1::Plan) -> String {
         "about {} cones, {} frame(s), {} artifact(s) to build or reuse, at most about {:.1} s of computing",
         summary::number(plan.predicted_cones()),
         plan.frames(),
-        plan.artifacts
-            .iter()
-            .filter(|artifact| !artifact.cached())
-            .count(),
+        plan.artifacts.iter().filter(|artifact| !artifact.cached()).count(),
         plan.predicted_seconds()
     )
 }

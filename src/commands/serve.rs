@@ -12,14 +12,9 @@ use crate::settings::DEFAULT_LISTEN;
 /// Runs the command until it is interrupted.
 pub async fn run(context: Context, args: ServeArgs) -> Result<(), Failure> {
     let settings = context.settings;
-    let text = args
-        .listen
-        .or(settings.listen.clone())
-        .unwrap_or_else(|| DEFAULT_LISTEN.into());
+    let text = args.listen.or(settings.listen.clone()).unwrap_or_else(|| DEFAULT_LISTEN.into());
     let address: SocketAddr = text.parse().map_err(|_| {
-        Failure::usage(format!(
-            "`{text}` is not an address and port such as {DEFAULT_LISTEN}"
-        ))
+        Failure::usage(format!("`{text}` is not an address and port such as {DEFAULT_LISTEN}"))
     })?;
     let insecure = args.insecure;
     if !address.ip().is_loopback() && !insecure {
@@ -35,10 +30,7 @@ pub async fn run(context: Context, args: ServeArgs) -> Result<(), Failure> {
     if context.json {
         output::json_line(&serde_json::json!({"listening": format!("http://{address}"), "data": data}))?;
     } else {
-        output::line(format_args!(
-            "listening on http://{address}, data in {}",
-            data.display()
-        ))?;
+        output::line(format_args!("listening on http://{address}, data in {}", data.display()))?;
     }
     stop.await;
     server.stop(true).await;

@@ -57,18 +57,12 @@ pub fn run(context: &Context, args: &TraceArgs) -> Result<(), Failure> {
     if context.json {
         return output::json(&serde_json::json!({"rays": rays.len(), "arrived": arrived, "out": args.out}));
     }
-    output::line(format_args!(
-        "{} ray(s), {arrived} reach the retina through the pupil",
-        rays.len()
-    ))
+    output::line(format_args!("{} ray(s), {arrived} reach the retina through the pupil", rays.len()))
 }
 
 /// Reads the rays by the names in the first line.
 fn read(text: &str, default: Dispersion) -> Result<Vec<Given>, String> {
-    let mut lines = text
-        .lines()
-        .enumerate()
-        .filter(|(_, line)| !line.trim().is_empty());
+    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let (_, header) = lines.next().ok_or("the file is empty")?;
     let names: Vec<String> = header.split(',').map(|name| name.trim().to_lowercase()).collect();
     let place = |name: &str| names.iter().position(|other| other == name);
@@ -93,25 +87,16 @@ fn read(text: &str, default: Dispersion) -> Result<Vec<Given>, String> {
         let ray = Ray::new(point(origin)?, point(direction)?).map_err(|error| at(error.to_string()))?;
         let wavelength_nm = value(wavelength)?;
         if !(365.0..=1014.0).contains(&wavelength_nm) {
-            return Err(at(format!(
-                "wavelength_nm: {wavelength_nm} is outside 365 to 1014"
-            )));
+            return Err(at(format!("wavelength_nm: {wavelength_nm} is outside 365 to 1014")));
         }
-        let name = dispersion
-            .and_then(|column| cells.get(column))
-            .copied()
-            .unwrap_or_default();
+        let name = dispersion.and_then(|column| cells.get(column)).copied().unwrap_or_default();
         let dispersion = match name.to_lowercase().as_str() {
             "" => default,
             "polyline" => Dispersion::Polyline,
             "herzberger" => Dispersion::Herzberger,
             other => return Err(at(format!("dispersion: `{other}` is not polyline or herzberger"))),
         };
-        rays.push(Given {
-            ray,
-            wavelength_nm,
-            dispersion,
-        });
+        rays.push(Given { ray, wavelength_nm, dispersion });
     }
     Ok(rays)
 }
@@ -131,22 +116,11 @@ fn row(table: &mut String, given: &Given, indices: &[f64; 5], traced: &Traced) {
     point(Some(given.ray.origin()));
     point(Some(given.ray.direction()));
     let [cornea_front, cornea_back, lens_front, lens_back, retina] = traced.hits;
-    for hit in [
-        cornea_front,
-        cornea_back,
-        traced.stop,
-        lens_front,
-        lens_back,
-        retina,
-    ] {
+    for hit in [cornea_front, cornea_back, traced.stop, lens_front, lens_back, retina] {
         point(hit);
     }
     point(retina.map(|_| traced.direction));
-    cells.push(if retina.is_some() {
-        traced.optical_path_mm.to_string()
-    } else {
-        String::new()
-    });
+    cells.push(if retina.is_some() { traced.optical_path_mm.to_string() } else { String::new() });
     cells.push(fate(traced.fate));
     // Writing to a String cannot fail.
     let _ = writeln!(table, "{}", cells.join(","));
@@ -170,12 +144,7 @@ mod tests {
     fn wrong_rows_are_named() {
         let read = |text: &str| read(text, Dispersion::Polyline).map(|rays| rays.len());
         let head = "px,py,pz,sx,sy,sz,wavelength_nm,dispersion\n";
-        assert_eq!(
-            read(&format!(
-                "{head}0,0,-30,0,0,2,543,\n0,1,-30,0,0,1,543,herzberger\n"
-            )),
-            Ok(2)
-        );
+        assert_eq!(read(&format!("{head}0,0,-30,0,0,2,543,\n0,1,-30,0,0,1,543,herzberger\n")), Ok(2));
         for (row, word) in [
             ("0,0,-30,0,0,0,543,", "line 2"),
             ("0,0,x,0,0,1,543,", "pz"),

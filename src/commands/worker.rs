@@ -28,10 +28,7 @@ pub async fn run(context: Context, args: WorkerArgs) -> Result<(), Failure> {
     };
     let stop = interrupted();
     let channel = photoneye_client::channel(&url)?;
-    output::note(format_args!(
-        "working for {url}, local copies in {}",
-        options.cache_dir.display()
-    ));
+    output::note(format_args!("working for {url}, local copies in {}", options.cache_dir.display()));
     let worker = Worker::new(channel, options).map_err(Failure::failed)?;
     let shutdown = CancellationToken::new();
     let mut work = tokio::spawn(worker.run(shutdown.clone()));
@@ -39,9 +36,7 @@ pub async fn run(context: Context, args: WorkerArgs) -> Result<(), Failure> {
         ended = &mut work => return ended.map_err(Failure::failed),
         () = stop => shutdown.cancel(),
     }
-    output::note(format_args!(
-        "finishing what was begun; interrupt again to leave it"
-    ));
+    output::note(format_args!("finishing what was begun; interrupt again to leave it"));
     tokio::select! {
         ended = work => ended.map_err(Failure::failed),
         () = interrupted() => Ok(()),

@@ -18,9 +18,7 @@ fn a_killed_server_finishes_its_jobs_with_the_same_result() {
     let server = Server::start(place.path(), 1);
     let address = server.address().to_owned();
     let id = server.submit(&small_experiment(FRAMES));
-    server.wait(&id, |job| {
-        job["progress"]["shards_done"].as_u64() >= Some(1) || job["state"] == "SUCCEEDED"
-    });
+    server.wait(&id, |job| job["progress"]["shards_done"].as_u64() >= Some(1) || job["state"] == "SUCCEEDED");
     server.kill();
     let server = Server::start_on(place.path(), 1, &address);
     let job = server.success(&id);
@@ -35,15 +33,7 @@ fn a_killed_worker_is_replaced() {
     let id = server.submit(&small_experiment(FRAMES));
     let worker = |cache: &str| {
         let mut command = photoneye(place.path());
-        command.args([
-            "worker",
-            "--server",
-            &server.url,
-            "--cache",
-            cache,
-            "--workers",
-            "1",
-        ]);
+        command.args(["worker", "--server", &server.url, "--cache", cache, "--workers", "1"]);
         command.stderr(Stdio::null()).spawn().unwrap()
     };
     let mut first = worker("cache-1");

@@ -3,6 +3,7 @@
 
 mod bad_input;
 mod crash;
+mod optics;
 mod rest;
 mod run;
 mod support;

@@ -51,12 +51,7 @@ fn a_job_over_rest() {
     let (shape, counts) = read_npy(&server.get(&format!("/v1/jobs/{id}/counts.npy")).1);
     assert_eq!(shape, [3, cones.len()]);
     assert!(counts.iter().any(|&count| count > 0));
-    assert!(
-        server
-            .get(&format!("/v1/jobs/{id}/frames/2.png"))
-            .1
-            .starts_with(b"\x89PNG")
-    );
+    assert!(server.get(&format!("/v1/jobs/{id}/frames/2.png")).1.starts_with(b"\x89PNG"));
     assert_eq!(server.get(&format!("/v1/jobs/{id}/frames/3.png")).0, 404);
     let (status, results) = server.get(&format!("/v1/jobs/{id}/results?from=1"));
     assert!(status == 200 && results.len() > 100);
@@ -82,26 +77,9 @@ fn lists_health_and_description_answer() {
     let place = tempdir().unwrap();
     let server = Server::start(place.path(), 0);
     assert!(server.get_json("/v1/displays").to_string().contains("lcos-3chip"));
-    assert!(
-        server
-            .get_json("/v1/spectra")
-            .to_string()
-            .contains("projector-uhp")
-    );
-    assert_eq!(
-        server.get_json("/openapi.json")["openapi"]
-            .as_str()
-            .map(|v| &v[..2]),
-        Some("3.")
-    );
-    for path in [
-        "/v1/eyes",
-        "/v1/retinas",
-        "/healthz",
-        "/readyz",
-        "/metrics",
-        "/docs",
-    ] {
+    assert!(server.get_json("/v1/spectra").to_string().contains("projector-uhp"));
+    assert_eq!(server.get_json("/openapi.json")["openapi"].as_str().map(|v| &v[..2]), Some("3."));
+    for path in ["/v1/eyes", "/v1/retinas", "/healthz", "/readyz", "/metrics", "/docs"] {
         assert_eq!(server.get(path).0, 200, "{path}");
     }
     for path in ["/v1/jobs/none", "/v1/nothing", "/v1/blobs/b3:00/1"] {
@@ -120,26 +98,17 @@ fn rest_and_grpc_give_the_same_verdict() {
         ("/eye", serde_json::json!({"preset": "none"}), "eye.preset"),
         ("/counts", serde_json::json!({"engine": "FAST"}), "counts.engine"),
         ("/frames", serde_json::json!({"count": 0}), "frames.count"),
-        (
-            "/display",
-            serde_json::json!({"preset": "lcos-3chip", "width_px": 0}),
-            "display.width_px",
-        ),
+        ("/display", serde_json::json!({"preset": "lcos-3chip", "width_px": 0}), "display.width_px"),
     ];
     for (place_of_change, value, field) in cases {
         let mut experiment = small_experiment(1);
         experiment[&place_of_change[1..]] = value;
         let (status, problem) = server.post("/v1/jobs", None, &experiment.to_string());
-        assert!(
-            (400..500).contains(&status) && problem.to_string().contains(field),
-            "{problem}"
-        );
+        assert!((400..500).contains(&status) && problem.to_string().contains(field), "{problem}");
 
         fs::write(place.path().join("wrong.json"), experiment.to_string()).unwrap();
-        let plan = photoneye(place.path())
-            .args(["plan", "wrong.json", "--server", &server.url])
-            .output()
-            .unwrap();
+        let plan =
+            photoneye(place.path()).args(["plan", "wrong.json", "--server", &server.url]).output().unwrap();
         assert_eq!(plan.status.code(), Some(2));
         assert!(String::from_utf8_lossy(&plan.stderr).contains(field), "{plan:?}");
     }

@@ -34,13 +34,7 @@ fn a_face_becomes_a_result_folder() {
         command
     };
     let said = succeed(&mut run());
-    for words in [
-        "leave the display",
-        "enter the pupil",
-        "lost in the lens",
-        "isomerize",
-        "out/face",
-    ] {
+    for words in ["leave the display", "enter the pupil", "lost in the lens", "isomerize", "out/face"] {
         assert!(said.contains(words), "`{words}` is not in\n{said}");
     }
     let out = place.path().join("out/face");
@@ -48,11 +42,7 @@ fn a_face_becomes_a_result_folder() {
     let (shape, counts) = read_npy(&fs::read(out.join("counts.npy")).unwrap());
     assert_eq!(shape, [1, cones.len()]);
     assert!(cones.len() > 1000 && counts.iter().any(|&count| count > 0));
-    assert!(
-        fs::read(out.join("frames/0000.png"))
-            .unwrap()
-            .starts_with(b"\x89PNG")
-    );
+    assert!(fs::read(out.join("frames/0000.png")).unwrap().starts_with(b"\x89PNG"));
     // Nothing half-written is left beside it.
     assert_eq!(fs::read_dir(place.path().join("out")).unwrap().count(), 1);
 
@@ -77,12 +67,7 @@ fn every_photon_has_one_fate() {
     assert!(budget.emitted > 0.0 && budget.isomerized.iter().sum::<f64>() > 0.0);
     // Rounding of sums of about ten terms over all frames.
     let difference = (budget.fates() / budget.emitted - 1.0).abs();
-    assert!(
-        difference < 1e-9,
-        "fates sum to {} of {}",
-        budget.fates(),
-        budget.emitted
-    );
+    assert!(difference < 1e-9, "fates sum to {} of {}", budget.fates(), budget.emitted);
     assert!(place.path().join("o/frames/mean.png").exists());
 }
 
@@ -90,11 +75,8 @@ fn every_photon_has_one_fate() {
 fn threads_workers_and_cache_do_not_change_a_byte() {
     let place = tempdir().unwrap();
     let spec = write_small(place.path(), 5);
-    for (out, data, threads, workers) in [
-        ("a", "d1", "1", "1"),
-        ("b", "d2", "2", "3"),
-        ("c", "d2", "2", "1"),
-    ] {
+    for (out, data, threads, workers) in [("a", "d1", "1", "1"), ("b", "d2", "2", "3"), ("c", "d2", "2", "1")]
+    {
         let mut command = photoneye(place.path());
         command.args(["run", spec, "--out", out, "--data", data, "--workers", workers]);
         succeed(command.env("RAYON_NUM_THREADS", threads));
@@ -113,23 +95,11 @@ fn a_plan_lists_what_it_leaves_out_with_bounds() {
     let omissions = plan["omissions"].as_array().unwrap();
     assert!(!omissions.is_empty(), "{plan}");
     for omission in omissions {
-        assert!(
-            omission["what"].is_string() && omission["why"].is_string(),
-            "{omission}"
-        );
-        assert!(
-            omission["bound"].as_f64().is_some_and(|bound| bound >= 0.0),
-            "{omission}"
-        );
+        assert!(omission["what"].is_string() && omission["why"].is_string(), "{omission}");
+        assert!(omission["bound"].as_f64().is_some_and(|bound| bound >= 0.0), "{omission}");
     }
-    assert!(
-        plan["predicted_seconds"].as_f64().is_some_and(|s| s > 0.0),
-        "{plan}"
-    );
-    assert!(
-        plan["predicted_bytes"].as_f64().is_some_and(|b| b > 0.0),
-        "{plan}"
-    );
+    assert!(plan["predicted_seconds"].as_f64().is_some_and(|s| s > 0.0), "{plan}");
+    assert!(plan["predicted_bytes"].as_f64().is_some_and(|b| b > 0.0), "{plan}");
 }
 
 #[test]
@@ -138,11 +108,7 @@ fn means_are_floats_and_do_not_depend_on_the_seed() {
     let spec = write_small(place.path(), 1);
     for (out, seed) in [("a", "counts.seed=1"), ("b", "counts.seed=2")] {
         let set = ["--set", "counts.noise=NONE", "--set", seed];
-        succeed(
-            photoneye(place.path())
-                .args(["run", spec, "--out", out])
-                .args(set),
-        );
+        succeed(photoneye(place.path()).args(["run", spec, "--out", out]).args(set));
     }
     let read = |out: &str| fs::read(place.path().join(out).join("counts.npy")).unwrap();
     assert!(read("a") == read("b"));
@@ -157,15 +123,7 @@ fn a_worker_in_another_process_gives_the_same_bytes() {
 
     let server = Server::start(place.path(), 0);
     let mut worker = photoneye(place.path())
-        .args([
-            "worker",
-            "--server",
-            &server.url,
-            "--cache",
-            "cache",
-            "--idle-exit",
-            "1",
-        ])
+        .args(["worker", "--server", &server.url, "--cache", "cache", "--idle-exit", "1"])
         .stderr(Stdio::null())
         .spawn()
         .unwrap();

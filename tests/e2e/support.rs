@@ -83,19 +83,11 @@ impl Server {
             .spawn()
             .unwrap();
         let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap())
-            .read_line(&mut line)
-            .unwrap();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let said: Value = serde_json::from_str(&line).unwrap_or_else(|_| panic!("serve said `{line}`"));
-        let agent = ureq::Agent::config_builder()
-            .http_status_as_error(false)
-            .timeout_global(Some(PATIENCE))
-            .build();
-        Self {
-            child,
-            url: said["listening"].as_str().unwrap().to_owned(),
-            agent: agent.into(),
-        }
+        let agent =
+            ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(PATIENCE)).build();
+        Self { child, url: said["listening"].as_str().unwrap().to_owned(), agent: agent.into() }
     }
 
     /// Host and port.
@@ -122,30 +114,31 @@ impl Server {
         serde_json::from_slice(&bytes).unwrap()
     }
 
-    /// Status and body of a POST.
-    pub fn post(&self, path: &str, key: Option<&str>, text: &str) -> (u16, Value) {
-        let mut request = self
-            .agent
-            .post(format!("{}{path}", self.url))
-            .header("Content-Type", "application/json");
+    /// A POST that may break off.
+    pub fn try_post(
+        &self,
+        path: &str,
+        key: Option<&str>,
+        text: &str,
+    ) -> Result<ureq::http::Response<ureq::Body>, ureq::Error> {
+        let mut request =
+            self.agent.post(format!("{}{path}", self.url)).header("Content-Type", "application/json");
         if let Some(key) = key {
             request = request.header("Idempotency-Key", key);
         }
-        let (status, bytes) = body(request.send(text).unwrap());
+        request.send(text)
+    }
+
+    /// Status and body of a POST.
+    pub fn post(&self, path: &str, key: Option<&str>, text: &str) -> (u16, Value) {
+        let (status, bytes) = body(self.try_post(path, key, text).unwrap());
         let value = serde_json::from_slice(&bytes);
-        (
-            status,
-            value.unwrap_or_else(|_| Value::String(String::from_utf8_lossy(&bytes).into_owned())),
-        )
+        (status, value.unwrap_or_else(|_| Value::String(String::from_utf8_lossy(&bytes).into_owned())))
     }
 
     /// Uploads bytes; gives status and body.
     pub fn put_blob(&self, bytes: &[u8]) -> (u16, Value) {
-        let reply = self
-            .agent
-            .put(format!("{}/v1/blobs", self.url))
-            .send(bytes)
-            .unwrap();
+        let reply = self.agent.put(format!("{}/v1/blobs", self.url)).send(bytes).unwrap();
         let (status, bytes) = body(reply);
         (status, serde_json::from_slice(&bytes).unwrap_or(Value::Null))
     }
@@ -172,9 +165,7 @@ impl Server {
 
     /// Waits until a job has succeeded.
     pub fn success(&self, id: &str) -> Value {
-        let job = self.wait(id, |job| {
-            !matches!(job["state"].as_str(), Some("QUEUED" | "RUNNING"))
-        });
+        let job = self.wait(id, |job| !matches!(job["state"].as_str(), Some("QUEUED" | "RUNNING")));
         assert_eq!(job["state"], "SUCCEEDED", "{job}");
         job
     }
@@ -198,22 +189,8 @@ pub fn read_npy(bytes: &[u8]) -> (Vec<usize>, Vec<u32>) {
     assert_eq!(&bytes[..6], b"\x93NUMPY");
     let head = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
     let text = std::str::from_utf8(&bytes[10..10 + head]).unwrap();
-    let shape = text
-        .split("'shape': (")
-        .nth(1)
-        .unwrap()
-        .split(')')
-        .next()
-        .unwrap();
-    let shape = shape
-        .split(',')
-        .filter_map(|side| side.trim().parse().ok())
-        .collect();
+    let shape = text.split("'shape': (").nth(1).unwrap().split(')').next().unwrap();
+    let shape = shape.split(',').filter_map(|side| side.trim().parse().ok()).collect();
     let words = bytes[10 + head..].chunks_exact(4);
-    (
-        shape,
-        words
-            .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
-            .collect(),
-    )
+    (shape, words.map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
 }

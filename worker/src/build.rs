@@ -69,10 +69,7 @@ fn parse(build: &v1::Build) -> Result<ArtifactSpec, WorkError> {
 }
 
 fn build_artifact(spec: &ArtifactSpec, inputs: &[(Digest, Vec<u8>)]) -> Result<Built, WorkError> {
-    let inputs: Vec<Input> = inputs
-        .iter()
-        .map(|(key, bytes)| (*key, bytes.as_slice()))
-        .collect();
+    let inputs: Vec<Input> = inputs.iter().map(|(key, bytes)| (*key, bytes.as_slice())).collect();
     spec.build(&inputs).map_err(|error| match error {
         BuildError::Input(..) => WorkError::Passing(error.to_string()),
         BuildError::Model(message) => WorkError::Model(message),

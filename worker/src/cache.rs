@@ -80,13 +80,7 @@ impl Cache {
         for digest in used.overflow(max_bytes) {
             remove(&folder, &digest);
         }
-        Ok(Self {
-            folder,
-            max_bytes,
-            remote,
-            used: Mutex::new(used),
-            flights: Mutex::default(),
-        })
+        Ok(Self { folder, max_bytes, remote, used: Mutex::new(used), flights: Mutex::default() })
     }
 
     /// The bytes of an artifact.
@@ -165,10 +159,7 @@ impl Cache {
 /// Blobs that are in the folder, oldest first.
 fn stock(folder: &FolderStore) -> Vec<BlobDigest> {
     let mut found: Vec<(SystemTime, BlobDigest)> = Vec::new();
-    let shelves = std::fs::read_dir(folder.root().join("blobs"))
-        .into_iter()
-        .flatten()
-        .flatten();
+    let shelves = std::fs::read_dir(folder.root().join("blobs")).into_iter().flatten().flatten();
     for shelf in shelves {
         for file in std::fs::read_dir(shelf.path()).into_iter().flatten().flatten() {
             let name = file.file_name().to_string_lossy().replacen('-', "/", 1);

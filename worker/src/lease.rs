@@ -58,13 +58,7 @@ impl Lease {
                 }
             }
         });
-        Self {
-            id,
-            fence: reply.fence(),
-            gone,
-            progress,
-            _beating: ended.drop_guard(),
-        }
+        Self { id, fence: reply.fence(), gone, progress, _beating: ended.drop_guard() }
     }
 
     /// For logs.
@@ -75,19 +69,12 @@ impl Lease {
     /// Tells the next heartbeat how far the work is, 0 to 1, and what it is about.
     pub(crate) fn progress(&self, part: f64, stage: &str) {
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
-        *progress = Progress {
-            part,
-            stage: stage.to_owned(),
-        };
+        *progress = Progress { part, stage: stage.to_owned() };
     }
 
     /// Whether the work is still wanted; asked between frames.
     pub(crate) fn check(&self) -> Result<(), WorkError> {
-        if self.gone.is_cancelled() {
-            Err(WorkError::Dropped)
-        } else {
-            Ok(())
-        }
+        if self.gone.is_cancelled() { Err(WorkError::Dropped) } else { Ok(()) }
     }
 
     /// Commits the result.
@@ -141,11 +128,7 @@ impl Heartbeat {
         let mut heard = Instant::now();
         loop {
             tokio::time::sleep(time_to_live / 3).await;
-            let progress = self
-                .progress
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .clone();
+            let progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner).clone();
             let request = v1::HeartbeatRequest {
                 id: Some(self.id.clone()),
                 fence: Some(self.fence),

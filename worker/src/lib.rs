@@ -101,10 +101,7 @@ impl Worker {
             remote,
             scenes: Scenes::default(),
         };
-        Ok(Self {
-            shared: Arc::new(shared),
-            options,
-        })
+        Ok(Self { shared: Arc::new(shared), options })
     }
 
     /// Works until `shutdown`, or until there was no work for [`Options::idle_exit`]. Work that was begun before a shutdown is

@@ -15,10 +15,7 @@ fn peak_of(status: &str) -> u64 {
 mod tests {
     #[test]
     fn reads_the_high_water_mark() {
-        assert_eq!(
-            super::peak_of("Name:\tx\nVmHWM:\t    2048 kB\nVmRSS: 1 kB\n"),
-            2 << 20
-        );
+        assert_eq!(super::peak_of("Name:\tx\nVmHWM:\t    2048 kB\nVmRSS: 1 kB\n"), 2 << 20);
         assert_eq!(super::peak_of(""), 0);
     }
 }

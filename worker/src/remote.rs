@@ -68,17 +68,13 @@ impl Remote {
         if reply.into_inner().digest() == digest.to_string() {
             Ok(digest)
         } else {
-            Err(WorkError::Passing(format!(
-                "blob {digest} was changed on its way to the server"
-            )))
+            Err(WorkError::Passing(format!("blob {digest} was changed on its way to the server")))
         }
     }
 
     /// Downloads a blob. The caller verifies the bytes.
     pub(crate) async fn get(&self, digest: BlobDigest) -> Result<Vec<u8>, WorkError> {
-        let request = v1::GetBlobRequest {
-            digest: Some(digest.to_string()),
-        };
+        let request = v1::GetBlobRequest { digest: Some(digest.to_string()) };
         repeat(|| {
             let (mut service, request) = (self.blobs(), request.clone());
             async move {

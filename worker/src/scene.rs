@@ -51,20 +51,14 @@ impl Scenes {
                 prepare(shared, lease, shard)
             })
             .await?;
-        let seconds = if prepared {
-            started.elapsed().as_secs_f64()
-        } else {
-            0.0
-        };
+        let seconds = if prepared { started.elapsed().as_secs_f64() } else { 0.0 };
         Ok((Arc::clone(scene), seconds))
     }
 
     async fn slot(&self, name: BlobDigest) -> Slot {
         let mut kept = self.kept.lock().await;
         let found = kept.iter().position(|(other, _)| *other == name);
-        let entry = found
-            .and_then(|place| kept.remove(place))
-            .unwrap_or_else(|| (name, Slot::default()));
+        let entry = found.and_then(|place| kept.remove(place)).unwrap_or_else(|| (name, Slot::default()));
         let slot = Arc::clone(&entry.1);
         kept.push_back(entry);
         while kept.len() > KEPT {
@@ -96,11 +90,7 @@ async fn prepare(shared: &Shared, lease: &Lease, shard: &v1::Shard) -> Result<Ar
     blocking(move || {
         let exposure = Exposure::new(&experiment, &artifacts).map_err(model_error)?;
         let cone_types = exposure.cone_types();
-        Ok(Arc::new(Scene {
-            exposure,
-            cone_types,
-            clip,
-        }))
+        Ok(Arc::new(Scene { exposure, cone_types, clip }))
     })
     .await
 }

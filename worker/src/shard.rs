@@ -43,10 +43,7 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
         // Between frames: is the answer still wanted?
         lease.check()?;
         let index = shard.first_frame() + done;
-        lease.progress(
-            f64::from(done) / f64::from(shard.frame_count()),
-            &format!("frame {index}"),
-        );
+        lease.progress(f64::from(done) / f64::from(shard.frame_count()), &format!("frame {index}"));
 
         // Count the frame.
         let picture = pictures.of_frame(shared, &scene, index).await?;
@@ -67,10 +64,7 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
         });
     }
     report.peak_memory_bytes = memory::peak_bytes();
-    Ok(Done {
-        done: v1::commit_request::Done::Shard(v1::ShardResult { chunks }),
-        report,
-    })
+    Ok(Done { done: v1::commit_request::Done::Shard(v1::ShardResult { chunks }), report })
 }
 
 /// Runs on a blocking thread: counts one frame and encodes it.
@@ -161,11 +155,7 @@ mod tests {
     #[test]
     fn sums_go_to_their_type() {
         let summary = summarize(&FrameCounts::Counts(vec![1, 2, 3, 4]), &[0, 1, 1, 2]);
-        let expected = Summary {
-            sum: [1.0, 5.0, 4.0],
-            sum_squares: [1.0, 13.0, 16.0],
-            cones: [1, 2, 1],
-        };
+        let expected = Summary { sum: [1.0, 5.0, 4.0], sum_squares: [1.0, 13.0, 16.0], cones: [1, 2, 1] };
         assert_eq!(summary, expected);
     }
 }

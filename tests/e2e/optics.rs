@@ -1,0 +1,67 @@
+//! `psf`, `trace` and `retina`: the commands that ask the model alone.
+
+use std::fs;
+
+use photoneye_store::table::read_cones_file;
+use serde_json::Value;
+use tempfile::tempdir;
+
+use crate::support::{photoneye, succeed};
+
+#[test]
+fn a_point_spread_is_an_array_with_its_figures() {
+    let place = tempdir().unwrap();
+    let said = succeed(photoneye(place.path()).args([
+        "psf",
+        "--json",
+        "--dispersion",
+        "polyline",
+        "--amplitude",
+        "uniform",
+        "--samples",
+        "64",
+        "--out",
+        "p.npy",
+    ]));
+    let said: Value = serde_json::from_str(&said).unwrap();
+    // Two public optics packages give 0.9075 for this eye, pupil and wavelength.
+    assert!((said["strehl"].as_f64().unwrap() - 0.9075).abs() < 2e-4, "{said}");
+    let bytes = fs::read(place.path().join("p.npy")).unwrap();
+    assert!(bytes.starts_with(b"\x93NUMPY") && bytes.len() > 64 * 64 * 8);
+    succeed(photoneye(place.path()).args(["psf", "--accommodation-a=-0.05", "--out", "q.npy"]));
+    let wrong = photoneye(place.path()).args(["psf", "--pupil-mm", "99", "--out", "r.npy"]).output().unwrap();
+    assert_eq!(wrong.status.code(), Some(2));
+    assert!(!place.path().join("r.npy").exists());
+}
+
+#[test]
+fn rays_come_out_in_their_order_with_their_fate() {
+    let place = tempdir().unwrap();
+    let rays = "px,py,pz,sx,sy,sz,wavelength_nm,dispersion\n\
+                0,0,-30,0,0,1,543,polyline\n\
+                0,3.9,-30,0,0,1,543,polyline\n\
+                0,30,-30,0,0,1,543,herzberger\n";
+    fs::write(place.path().join("rays.csv"), rays).unwrap();
+    succeed(photoneye(place.path()).args(["trace", "--rays", "rays.csv", "--out", "hits.csv"]));
+    let table = fs::read_to_string(place.path().join("hits.csv")).unwrap();
+    let fates: Vec<&str> = table.lines().skip(1).filter_map(|line| line.rsplit(',').next()).collect();
+    assert_eq!(fates, ["arrived", "stopped_by_iris", "missed_cornea_front"]);
+    // Optical path along the axis with the published thicknesses: 30 mm of air and the four media.
+    let first: Vec<&str> = table.lines().nth(1).unwrap().split(',').collect();
+    assert!(first[first.len() - 2].parse::<f64>().unwrap() > 60.0);
+}
+
+#[test]
+fn a_patch_of_retina_does_not_depend_on_threads() {
+    let place = tempdir().unwrap();
+    for threads in ["1", "2"] {
+        let mut command = photoneye(place.path());
+        command.args(["retina", "--to-deg", "0.4", "--threads", threads, "--out", threads]);
+        let said = succeed(&mut command);
+        assert!(said.contains("cones:"), "{said}");
+    }
+    let read = |name: &str| fs::read(place.path().join(name)).unwrap();
+    assert!(read("1") == read("2"));
+    let cones = read_cones_file(&read("1")).unwrap();
+    assert!(cones.ecc_deg.iter().all(|ecc| *ecc <= 0.4) && cones.len() > 2000, "{}", cones.len());
+}
