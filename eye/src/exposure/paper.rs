@@ -18,7 +18,7 @@ use rustfft::num_complex::Complex64;
 use super::inputs::Inputs;
 use super::scene::Scene;
 use super::source::{Projector, relative_light};
-use super::spectral::Absorbers;
+use super::spectral::{Absorbers, Paths};
 use crate::cone::ISOMERIZATION;
 use crate::display::Emitter;
 use crate::experiment::{Experiment, PaperSettings};
@@ -61,6 +61,7 @@ pub struct Paper {
     settings: PaperSettings,
     seed: u64,
     throughput: f64,
+    paths: Paths,
     scene: Scene,
     index: ConeIndex,
     cones: Vec<Catch>,
@@ -113,6 +114,7 @@ impl Paper {
             settings: experiment.counts.paper,
             seed: experiment.counts.seed,
             throughput: kernels.throughput(),
+            paths: kernels.paths(),
             scene: scene.clone(),
             index: ConeIndex::new(retina),
             cones,
@@ -169,7 +171,11 @@ impl Paper {
             cumulative,
             half_width_um,
             landing_um: projection.retina_um(tangent, nm).map_err(|e| e.to_string())?,
-            passed: [media.cornea(nm, 1.0), media.lens(nm, 1.0), media.macula(nm, ecc_deg)],
+            passed: [
+                media.cornea(nm, self.paths.cornea),
+                media.lens(nm, self.paths.lens),
+                media.macula(nm, ecc_deg),
+            ],
         })
     }
 
