@@ -14,37 +14,14 @@ const BYTES: &str = "application/octet-stream";
 const JSON: &str = "application/json";
 
 /// Method, path, summary, request message, (media type, message) of the reply.
-type Endpoint = (
-    &'static str,
-    &'static str,
-    &'static str,
-    Option<&'static str>,
-    (&'static str, Option<&'static str>),
-);
+type Endpoint =
+    (&'static str, &'static str, &'static str, Option<&'static str>, (&'static str, Option<&'static str>));
 
 const ENDPOINTS: &[Endpoint] = &[
-    (
-        "post",
-        "/v1/jobs",
-        "Submit an experiment",
-        Some("Experiment"),
-        (JSON, Some("Job")),
-    ),
-    (
-        "get",
-        "/v1/jobs",
-        "List jobs, newest first",
-        None,
-        (JSON, Some("ListJobsReply")),
-    ),
+    ("post", "/v1/jobs", "Submit an experiment", Some("Experiment"), (JSON, Some("Job"))),
+    ("get", "/v1/jobs", "List jobs, newest first", None, (JSON, Some("ListJobsReply"))),
     ("get", "/v1/jobs/{id}", "One job", None, (JSON, Some("Job"))),
-    (
-        "post",
-        "/v1/jobs/{id}/cancel",
-        "Cancel a job",
-        None,
-        (JSON, Some("Job")),
-    ),
+    ("post", "/v1/jobs/{id}/cancel", "Cancel a job", None, (JSON, Some("Job"))),
     (
         "get",
         "/v1/jobs/{id}/events",
@@ -52,41 +29,11 @@ const ENDPOINTS: &[Endpoint] = &[
         None,
         ("text/event-stream", None),
     ),
-    (
-        "get",
-        "/v1/jobs/{id}/results",
-        "Result chunks as one Arrow stream",
-        None,
-        (ARROW_STREAM, None),
-    ),
-    (
-        "get",
-        "/v1/jobs/{id}/counts.npy",
-        "Counts [frame, cone] as a NumPy array",
-        None,
-        (BYTES, None),
-    ),
-    (
-        "get",
-        "/v1/jobs/{id}/cones.arrow",
-        "The cone table as an Arrow file",
-        None,
-        (ARROW_FILE, None),
-    ),
-    (
-        "get",
-        "/v1/jobs/{id}/frames/{frame}",
-        "A frame as a picture: `0.png`",
-        None,
-        ("image/png", None),
-    ),
-    (
-        "get",
-        "/v1/jobs/{id}/report",
-        "The report of a finished job",
-        None,
-        (JSON, None),
-    ),
+    ("get", "/v1/jobs/{id}/results", "Result chunks as one Arrow stream", None, (ARROW_STREAM, None)),
+    ("get", "/v1/jobs/{id}/counts.npy", "Counts [frame, cone] as a NumPy array", None, (BYTES, None)),
+    ("get", "/v1/jobs/{id}/cones.arrow", "The cone table as an Arrow file", None, (ARROW_FILE, None)),
+    ("get", "/v1/jobs/{id}/frames/{frame}", "A frame as a picture: `0.png`", None, ("image/png", None)),
+    ("get", "/v1/jobs/{id}/report", "The report of a finished job", None, (JSON, None)),
     (
         "post",
         "/v1/plans",
@@ -94,89 +41,24 @@ const ENDPOINTS: &[Endpoint] = &[
         Some("Experiment"),
         (JSON, Some("PlanReply")),
     ),
-    (
-        "put",
-        "/v1/blobs",
-        "Upload bytes; the reply has their digest",
-        None,
-        (JSON, Some("PutBlobReply")),
-    ),
-    (
-        "get",
-        "/v1/blobs/{digest}",
-        "Download bytes (digest `b3:<hex>/<size>`)",
-        None,
-        (BYTES, None),
-    ),
+    ("put", "/v1/blobs", "Upload bytes; the reply has their digest", None, (JSON, Some("PutBlobReply"))),
+    ("get", "/v1/blobs/{digest}", "Download bytes (digest `b3:<hex>/<size>`)", None, (BYTES, None)),
     ("get", "/v1/displays", "Display presets", None, (JSON, None)),
     ("get", "/v1/eyes", "Eye presets", None, (JSON, None)),
-    (
-        "get",
-        "/v1/spectra",
-        "Named spectra, as `table/column`",
-        None,
-        (JSON, None),
-    ),
-    (
-        "get",
-        "/v1/retinas",
-        "Retina generators and their ranges",
-        None,
-        (JSON, None),
-    ),
+    ("get", "/v1/spectra", "Named spectra, as `table/column`", None, (JSON, None)),
+    ("get", "/v1/retinas", "Retina generators and their ranges", None, (JSON, None)),
     ("get", "/healthz", "The process lives", None, (JSON, None)),
     ("get", "/readyz", "The service takes work", None, (JSON, None)),
-    (
-        "get",
-        "/metrics",
-        "Metrics in Prometheus' text form",
-        None,
-        ("text/plain", None),
-    ),
+    ("get", "/metrics", "Metrics in Prometheus' text form", None, ("text/plain", None)),
 ];
 
 /// Query and header parameters: path suffix, method, place, name, schema type, description.
 const PARAMETERS: &[(&str, &str, &str, &str, &str, &str)] = &[
-    (
-        "/v1/jobs",
-        "post",
-        "header",
-        "Idempotency-Key",
-        "string",
-        "The same key again gives the same job",
-    ),
-    (
-        "/v1/jobs",
-        "get",
-        "query",
-        "page",
-        "string",
-        "`next_page` of the reply before",
-    ),
-    (
-        "/v1/jobs",
-        "get",
-        "query",
-        "page_size",
-        "integer",
-        "1 to 200, default 50",
-    ),
-    (
-        "/v1/jobs/{id}/events",
-        "get",
-        "header",
-        "Last-Event-ID",
-        "integer",
-        "Events after this one",
-    ),
-    (
-        "/v1/jobs/{id}/results",
-        "get",
-        "query",
-        "from",
-        "integer",
-        "First sequence number; 1 is everything",
-    ),
+    ("/v1/jobs", "post", "header", "Idempotency-Key", "string", "The same key again gives the same job"),
+    ("/v1/jobs", "get", "query", "page", "string", "`next_page` of the reply before"),
+    ("/v1/jobs", "get", "query", "page_size", "integer", "1 to 200, default 50"),
+    ("/v1/jobs/{id}/events", "get", "header", "Last-Event-ID", "integer", "Events after this one"),
+    ("/v1/jobs/{id}/results", "get", "query", "from", "integer", "First sequence number; 1 is everything"),
 ];
 
 /// The whole document as JSON text.
@@ -251,12 +133,7 @@ fn comments(file: &prost_types::FileDescriptorProto) -> HashMap<Vec<i32>, String
     let locations = file.source_code_info.iter().flat_map(|info| &info.location);
     locations
         .filter(|location| !location.leading_comments().trim().is_empty())
-        .map(|location| {
-            (
-                location.path.clone(),
-                location.leading_comments().trim().to_owned(),
-            )
-        })
+        .map(|location| (location.path.clone(), location.leading_comments().trim().to_owned()))
         .collect()
 }
 
@@ -280,11 +157,7 @@ fn add_message(
     if let Some(text) = comments.get(path) {
         schema["description"] = json!(text);
     }
-    if message
-        .oneof_decl
-        .iter()
-        .any(|oneof| !oneof.name().starts_with('_'))
-    {
+    if message.oneof_decl.iter().any(|oneof| !oneof.name().starts_with('_')) {
         schema["maxProperties"] = json!(message.field.len());
         schema["oneOf"] = one_of(message);
     }
@@ -300,10 +173,8 @@ fn add_message(
 
 /// Exactly one of the choices of the message's oneof.
 fn one_of(message: &DescriptorProto) -> Value {
-    let choices = message
-        .field
-        .iter()
-        .filter(|field| field.oneof_index.is_some() && !field.proto3_optional());
+    let choices =
+        message.field.iter().filter(|field| field.oneof_index.is_some() && !field.proto3_optional());
     choices.map(|field| json!({"required": [field.name()]})).collect()
 }
 

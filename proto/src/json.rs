@@ -18,10 +18,7 @@ pub struct FieldError {
 impl FieldError {
     /// An error about one field.
     pub fn new(path: impl Into<String>, message: impl Into<String>) -> Self {
-        Self {
-            path: path.into(),
-            message: message.into(),
-        }
+        Self { path: path.into(), message: message.into() }
     }
 }
 
@@ -53,9 +50,7 @@ pub fn from_json<T: DeserializeOwned>(text: &str) -> Result<T, FieldError> {
             FieldError::new("", format!("not JSON: {message}"))
         }
     })?;
-    deserializer
-        .end()
-        .map_err(|error| FieldError::new("", format!("not JSON: {error}")))?;
+    deserializer.end().map_err(|error| FieldError::new("", format!("not JSON: {error}")))?;
     Ok(value)
 }
 

@@ -24,10 +24,7 @@ fn errors_name_the_field() {
             r#"{"counts": {"engine": "FAST"}}"#,
             "counts.engine: unknown variant `FAST`, expected one of `AUTO`, `EXPECTED`, `EVENTS`, `PAPER`",
         ),
-        (
-            r#"{"eye": {"pupil_mm": "NaN"}}"#,
-            "eye.pupil_mm: invalid value: string \"NaN\", expected a number",
-        ),
+        (r#"{"eye": {"pupil_mm": "NaN"}}"#, "eye.pupil_mm: invalid value: string \"NaN\", expected a number"),
         (
             r#"{"display": {"width_px": 1.5}}"#,
             "display.width_px: invalid value: floating point `1.5`, expected a whole number",
@@ -36,10 +33,7 @@ fn errors_name_the_field() {
             r#"{"display": {"width_px": -1}}"#,
             "display.width_px: invalid value: integer `-1`, expected a whole number",
         ),
-        (
-            r#"{"retina": {"seed": "18446744073709551616"}}"#,
-            "retina.seed: invalid value",
-        ),
+        (r#"{"retina": {"seed": "18446744073709551616"}}"#, "retina.seed: invalid value"),
         (r#"{"eye": 3}"#, "eye: invalid type: integer `3`, expected"),
         (r#"{"eye": {}"#, "not JSON: EOF"),
         (r"{} {}", "not JSON: trailing"),
@@ -83,21 +77,13 @@ fn every_scalar_is_optional_or_in_a_oneof() {
         for field in &message.field {
             let free = field.label() == Label::Repeated || field.r#type() == Type::Message;
             let present = field.oneof_index.is_some();
-            assert!(
-                free || present,
-                "{}.{} has no presence",
-                message.name(),
-                field.name()
-            );
+            assert!(free || present, "{}.{} has no presence", message.name(), field.name());
             assert_eq!(field.json_name(), field.name());
         }
         message.nested_type.iter().for_each(check);
     }
     let set = FileDescriptorSet::decode(FILE_DESCRIPTOR_SET).unwrap();
-    set.file
-        .iter()
-        .flat_map(|file| &file.message_type)
-        .for_each(check);
+    set.file.iter().flat_map(|file| &file.message_type).for_each(check);
 }
 
 #[test]

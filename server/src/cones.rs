@@ -68,11 +68,7 @@ fn columns(experiment: &Experiment, artifacts: &[Vec<u8>]) -> Result<ConeColumns
 fn shapes(cones: ConeColumns, side: Side) -> ConeShapes {
     ConeShapes {
         start: cones.polygon_start.iter().map(|start| start / 2).collect(),
-        corners: cones
-            .polygon
-            .chunks_exact(2)
-            .map(|corner| [corner[0], corner[1]])
-            .collect(),
+        corners: cones.polygon.chunks_exact(2).map(|corner| [corner[0], corner[1]]).collect(),
         cone_type: cones.kind,
         aperture_um2: cones.aperture_um2,
         mirrored: side == Side::Left,

@@ -43,11 +43,7 @@ pub struct Error {
 impl Error {
     /// An error without a field.
     pub fn new(kind: Kind, message: impl Into<String>) -> Self {
-        Self {
-            kind,
-            message: message.into(),
-            field: None,
-        }
+        Self { kind, message: message.into(), field: None }
     }
 
     /// The HTTP status.
@@ -137,9 +133,7 @@ impl IntoResponse for Error {
         let kind = [(header::CONTENT_TYPE, "application/problem+json")];
         let mut response = (status, kind, problem.to_string()).into_response();
         if status == StatusCode::TOO_MANY_REQUESTS || status == StatusCode::SERVICE_UNAVAILABLE {
-            response
-                .headers_mut()
-                .insert(header::RETRY_AFTER, http::HeaderValue::from_static("5"));
+            response.headers_mut().insert(header::RETRY_AFTER, http::HeaderValue::from_static("5"));
         }
         response
     }

@@ -110,9 +110,8 @@ impl Server {
             blobs: Arc::new(blobs),
             limits: options.limits,
         });
-        let routes = rest::routes(Arc::clone(&service))
-            .merge(grpc::routes(&service).await?)
-            .fallback(rest::unknown);
+        let routes =
+            rest::routes(Arc::clone(&service)).merge(grpc::routes(&service).await?).fallback(rest::unknown);
         let (sender, receiver) = mpsc::channel(16);
         let stop = CancellationToken::new();
         let serving = tokio::spawn({
@@ -127,12 +126,7 @@ impl Server {
             }
         });
         tracing::info!(%address, data = %options.data_dir.display(), "serving");
-        Ok(Handle {
-            address,
-            connector: sender,
-            stop,
-            serving,
-        })
+        Ok(Handle { address, connector: sender, stop, serving })
     }
 }
 
@@ -140,17 +134,9 @@ impl Server {
 fn lock(folder: &Path) -> Result<std::fs::File, StartError> {
     let path = folder.join("lock");
     let unusable = |source| {
-        StartError::Folder(photoneye_store::StoreError::Io {
-            action: "lock",
-            path: path.clone(),
-            source,
-        })
+        StartError::Folder(photoneye_store::StoreError::Io { action: "lock", path: path.clone(), source })
     };
-    let file = std::fs::File::options()
-        .create(true)
-        .append(true)
-        .open(&path)
-        .map_err(unusable)?;
+    let file = std::fs::File::options().create(true).append(true).open(&path).map_err(unusable)?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(std::fs::TryLockError::WouldBlock) => Err(StartError::InUse(folder.to_owned())),

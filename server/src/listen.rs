@@ -75,18 +75,12 @@ fn spawn(
             let routes = routes.clone();
             async move {
                 Ok::<_, Infallible>(
-                    routes
-                        .oneshot(request.map(axum::body::Body::new))
-                        .await
-                        .unwrap_or_else(|e| match e {}),
+                    routes.oneshot(request.map(axum::body::Body::new)).await.unwrap_or_else(|e| match e {}),
                 )
             }
         }));
     let mut builder = Builder::new(TokioExecutor::new());
-    builder
-        .http1()
-        .timer(TokioTimer::new())
-        .header_read_timeout(HEADER_TIMEOUT);
+    builder.http1().timer(TokioTimer::new()).header_read_timeout(HEADER_TIMEOUT);
     builder
         .http2()
         .timer(TokioTimer::new())
@@ -95,9 +89,7 @@ fn spawn(
         .max_concurrent_streams(1000)
         .keep_alive_interval(Duration::from_secs(30))
         .keep_alive_timeout(Duration::from_secs(20));
-    let connection = builder
-        .serve_connection(TokioIo::new(stream), service)
-        .into_owned();
+    let connection = builder.serve_connection(TokioIo::new(stream), service).into_owned();
     let connection = graceful.watch(connection);
     let stop = stop.clone();
     tokio::spawn(async move {

@@ -32,10 +32,7 @@ impl Service {
         let facts = self
             .look(id, |state, job| match job.state {
                 JobState::Succeeded => Ok(facts(state, job)),
-                other => Err(Error::new(
-                    Kind::NotReady,
-                    format!("the job is not done: {other:?}"),
-                )),
+                other => Err(Error::new(Kind::NotReady, format!("the job is not done: {other:?}"))),
             })
             .await??;
         let mut merged = WorkReport::default();
@@ -105,10 +102,8 @@ fn frames(job: &Job) -> Value {
         frames.entry(*frame).or_default().push(&chunk.summary);
     }
     let list = frames.into_iter().take(MAX_FRAMES).map(|(frame, tiles)| {
-        let types = ["l", "m", "s"]
-            .iter()
-            .enumerate()
-            .map(|(i, name)| ((*name).to_owned(), of_type(&tiles, i)));
+        let types =
+            ["l", "m", "s"].iter().enumerate().map(|(i, name)| ((*name).to_owned(), of_type(&tiles, i)));
         json!({"frame": frame, "types": types.collect::<serde_json::Map<String, Value>>()})
     });
     list.collect::<Vec<_>>().into()
@@ -125,10 +120,6 @@ fn of_type(tiles: &[&Summary], i: usize) -> Value {
     let n = cones as f64;
     let mean = total(|tile| &tile.sum) / n;
     let variance = (total(|tile| &tile.sum_squares) / n - mean * mean).max(0.0);
-    let fano = if mean > 0.0 {
-        Value::from(variance / mean)
-    } else {
-        Value::Null
-    };
+    let fano = if mean > 0.0 { Value::from(variance / mean) } else { Value::Null };
     json!({"cones": cones, "mean": mean, "variance": variance, "fano": fano})
 }

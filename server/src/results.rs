@@ -80,10 +80,7 @@ impl Service {
                 (None, JobState::Succeeded) => Next::End(None),
                 (None, JobState::Failed) => {
                     let reason = job.error.clone().unwrap_or_default();
-                    Next::End(Some(Error::new(
-                        Kind::NotReady,
-                        format!("the job failed: {reason}"),
-                    )))
+                    Next::End(Some(Error::new(Kind::NotReady, format!("the job failed: {reason}"))))
                 }
                 (None, JobState::Cancelled) => {
                     Next::End(Some(Error::new(Kind::NotReady, "the job was cancelled")))
@@ -111,27 +108,19 @@ impl Service {
                 Ok(bytes) => return Ok(bytes),
                 Err(error) if error.kind == Kind::NotFound => {
                     if !told {
-                        self.machine
-                            .execute(Command::LostChunk(id.to_owned(), frame, tile))
-                            .await?;
+                        self.machine.execute(Command::LostChunk(id.to_owned(), frame, tile)).await?;
                         told = true;
                         continue;
                     }
                     let rung = tokio::time::timeout_at(until, changes.changed()).await;
                     if !matches!(rung, Ok(Ok(()))) {
-                        return Err(Error::new(
-                            Kind::Unavailable,
-                            "a lost result is being computed again",
-                        ));
+                        return Err(Error::new(Kind::Unavailable, "a lost result is being computed again"));
                     }
                 }
                 Err(error) => return Err(error),
             }
-            let found = self
-                .look(id, |_, job| {
-                    job.chunks.get(&(frame, tile)).map(|chunk| chunk.digest)
-                })
-                .await?;
+            let found =
+                self.look(id, |_, job| job.chunks.get(&(frame, tile)).map(|chunk| chunk.digest)).await?;
             digest = found.unwrap_or(digest);
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
@@ -166,11 +155,7 @@ impl Service {
         self: Arc<Self>,
         id: String,
     ) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
-        let scalar = if self.means(&id).await? {
-            Scalar::F32
-        } else {
-            Scalar::U32
-        };
+        let scalar = if self.means(&id).await? { Scalar::F32 } else { Scalar::U32 };
         let (places, frames, cones) = self.look_at_result(&id).await?;
         Ok(async_stream::try_stream! {
             yield Bytes::from(npy::header(scalar, &[frames as usize, cones as usize]));
@@ -221,16 +206,11 @@ impl Service {
             let cones = state.first_cones(job).1;
             match (job.state, cones) {
                 (JobState::Succeeded, Some(cones)) => {
-                    let places = job
-                        .chunks
-                        .iter()
-                        .map(|((frame, tile), chunk)| (*frame, *tile, chunk.digest));
+                    let places =
+                        job.chunks.iter().map(|((frame, tile), chunk)| (*frame, *tile, chunk.digest));
                     Ok((places.collect(), job.frames, cones))
                 }
-                (state, _) => Err(Error::new(
-                    Kind::NotReady,
-                    format!("the job is not done: {state:?}"),
-                )),
+                (state, _) => Err(Error::new(Kind::NotReady, format!("the job is not done: {state:?}"))),
             }
         })
         .await?
@@ -257,12 +237,7 @@ impl Service {
     /// When there is no such job, or its retina is not built; with `wait`, only when the job ended without it.
     pub async fn cone_artifacts(&self, id: &str, wait: bool) -> Result<Vec<Vec<u8>>, Error> {
         let keys: Vec<String> = self
-            .look(id, |_, job| {
-                job.tiles
-                    .iter()
-                    .filter_map(|tile| tile.first().cloned())
-                    .collect()
-            })
+            .look(id, |_, job| job.tiles.iter().filter_map(|tile| tile.first().cloned()).collect())
             .await?;
         let mut all = Vec::new();
         for key in keys {
@@ -279,11 +254,7 @@ impl Service {
             let (digest, built, job) = self
                 .look(id, |state, job| {
                     let artifact = state.artifacts.get(key);
-                    (
-                        artifact.and_then(|a| a.digest),
-                        artifact.is_some_and(|a| a.cones.is_some()),
-                        job.state,
-                    )
+                    (artifact.and_then(|a| a.digest), artifact.is_some_and(|a| a.cones.is_some()), job.state)
                 })
                 .await?;
             if let Some(digest) = digest {
@@ -297,22 +268,17 @@ impl Service {
             // A first build takes the time that it takes; lost bytes are asked for once and waited for.
             if built && until.is_none() {
                 until = Some(tokio::time::Instant::now() + REMAKE);
-                self.machine
-                    .execute(Command::LostArtifact(key.to_owned()))
-                    .await?;
+                self.machine.execute(Command::LostArtifact(key.to_owned())).await?;
                 continue;
             }
             let rung = match until {
-                Some(until) => tokio::time::timeout_at(until, changes.changed())
-                    .await
-                    .is_ok_and(|rung| rung.is_ok()),
+                Some(until) => {
+                    tokio::time::timeout_at(until, changes.changed()).await.is_ok_and(|rung| rung.is_ok())
+                }
                 None => changes.changed().await.is_ok(),
             };
             if !rung {
-                return Err(Error::new(
-                    Kind::Unavailable,
-                    "a lost retina is being built again",
-                ));
+                return Err(Error::new(Kind::Unavailable, "a lost retina is being built again"));
             }
             tokio::time::sleep(Duration::from_millis(20)).await;
         }

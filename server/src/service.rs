@@ -31,12 +31,7 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self {
-            active_jobs: 1000,
-            job_bytes: 64e9,
-            job_seconds: 30.0 * 86400.0,
-            blob_bytes: 4 << 30,
-        }
+        Self { active_jobs: 1000, job_bytes: 64e9, job_seconds: 30.0 * 86400.0, blob_bytes: 4 << 30 }
     }
 }
 
@@ -99,15 +94,8 @@ impl Service {
                 predicted_us: micros(artifact.predicted_seconds),
             })
         });
-        let tiles = plan
-            .tile_artifacts
-            .iter()
-            .map(|keys| keys.iter().map(ToString::to_string).collect());
-        let built: f64 = plan
-            .artifacts
-            .iter()
-            .map(|artifact| artifact.predicted_seconds)
-            .sum();
+        let tiles = plan.tile_artifacts.iter().map(|keys| keys.iter().map(ToString::to_string).collect());
+        let built: f64 = plan.artifacts.iter().map(|artifact| artifact.predicted_seconds).sum();
         let job = NewJob {
             id: new_id(&digest),
             experiment_digest: digest.clone(),
@@ -126,10 +114,9 @@ impl Service {
         };
         match self.machine.execute(Command::Create(Box::new(job))).await? {
             Reply::Created(id, new) => Ok((self.job(&id).await?, new)),
-            Reply::OtherBody => Err(Error::new(
-                Kind::OtherBody,
-                "this key came with another experiment before",
-            )),
+            Reply::OtherBody => {
+                Err(Error::new(Kind::OtherBody, "this key came with another experiment before"))
+            }
             other => Err(unexpected(&other)),
         }
     }
@@ -150,10 +137,7 @@ impl Service {
     /// # Errors
     /// When there is no such job.
     pub async fn look<T>(&self, id: &str, look: impl FnOnce(&State, &Job) -> T) -> Result<T, Error> {
-        let found = self
-            .machine
-            .read(|state| state.jobs.get(id).map(|job| look(state, job)))
-            .await;
+        let found = self.machine.read(|state| state.jobs.get(id).map(|job| look(state, job))).await;
         found.ok_or_else(|| no_job(id))
     }
 
@@ -169,9 +153,9 @@ impl Service {
         }
         let before = match page.filter(|page| !page.is_empty()) {
             None => u64::MAX,
-            Some(page) => page
-                .parse()
-                .map_err(|_| FieldError::new("page", "is not the `next_page` of a reply"))?,
+            Some(page) => {
+                page.parse().map_err(|_| FieldError::new("page", "is not the `next_page` of a reply"))?
+            }
         };
         let view = |state: &State| {
             let mut jobs: Vec<&Job> = state.jobs.values().filter(|job| job.number < before).collect();
@@ -228,16 +212,13 @@ impl Service {
     }
 
     async fn view_plan(&self, plan: &Plan) -> v1::Plan {
-        self.machine
-            .read(|state| view::plan(plan, |key| state.ready(key)))
-            .await
+        self.machine.read(|state| view::plan(plan, |key| state.ready(key))).await
     }
 
     /// The one way from a message to an experiment and its plan.
     async fn prepare(&self, message: &v1::Experiment) -> Result<(Experiment, Plan), Error> {
         let experiment = spec::experiment(message)?;
-        self.check_pictures(&experiment.video, &experiment.display)
-            .await?;
+        self.check_pictures(&experiment.video, &experiment.display).await?;
         let task = tokio::task::spawn_blocking(move || {
             let plan = photoneye_eye::plan::plan(&experiment);
             (experiment, plan)
@@ -262,9 +243,8 @@ impl Service {
                 continue;
             }
             let path = format!("video.clip.blobs[{i}]");
-            let digest: BlobDigest = text
-                .parse()
-                .map_err(|_| FieldError::new(path.clone(), "is not a digest"))?;
+            let digest: BlobDigest =
+                text.parse().map_err(|_| FieldError::new(path.clone(), "is not a digest"))?;
             let bytes = match self.with_blobs(move |blobs| blobs.get(&digest)).await {
                 Ok(bytes) => bytes,
                 Err(error) if error.kind == Kind::NotFound => {
@@ -276,10 +256,8 @@ impl Service {
             let size =
                 png_size(&bytes, limits).map_err(|error| FieldError::new(path.clone(), error.to_string()))?;
             if size != (width, height) {
-                let message = format!(
-                    "the picture is {} x {} pixels, the display {width} x {height}",
-                    size.0, size.1
-                );
+                let message =
+                    format!("the picture is {} x {} pixels, the display {width} x {height}", size.0, size.1);
                 return Err(FieldError::new(path, message).into());
             }
         }
@@ -289,17 +267,11 @@ impl Service {
     async fn check_limits(&self, plan: &Plan) -> Result<(), Error> {
         let active = self.machine.read(|state| state.active.len()).await;
         if active >= self.limits.active_jobs {
-            return Err(Error::new(
-                Kind::Busy,
-                format!("{active} jobs are waiting already"),
-            ));
+            return Err(Error::new(Kind::Busy, format!("{active} jobs are waiting already")));
         }
         let over = |what: &str, value: f64, limit: f64| {
             (value > limit).then(|| {
-                Error::new(
-                    Kind::TooLarge,
-                    format!("predicted {what} {value:.3e}, allowed is {limit:.3e}"),
-                )
+                Error::new(Kind::TooLarge, format!("predicted {what} {value:.3e}, allowed is {limit:.3e}"))
             })
         };
         let error = over("bytes of memory", plan.predicted_bytes, self.limits.job_bytes)
@@ -316,10 +288,7 @@ pub fn no_job(id: &str) -> Error {
 
 /// The machine gave an answer to another question.
 pub fn unexpected(reply: &Reply) -> Error {
-    Error::new(
-        Kind::Internal,
-        format!("unexpected answer of the job machine: {reply:?}"),
-    )
+    Error::new(Kind::Internal, format!("unexpected answer of the job machine: {reply:?}"))
 }
 
 fn micros(seconds: f64) -> u64 {
@@ -333,14 +302,9 @@ fn to_json<T: serde::Serialize>(value: &T) -> Result<String, Error> {
 /// A new job's name: unlike any other of this or another server.
 fn new_id(digest: &str) -> String {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
-    let now = std::time::SystemTime::now()
-        .duration_since(std::time::SystemTime::UNIX_EPOCH)
-        .unwrap_or_default();
-    let seed = (
-        now.as_nanos(),
-        std::process::id(),
-        COUNTER.fetch_add(1, Ordering::Relaxed),
-    );
+    let now =
+        std::time::SystemTime::now().duration_since(std::time::SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let seed = (now.as_nanos(), std::process::id(), COUNTER.fetch_add(1, Ordering::Relaxed));
     let hash = blake3::hash(format!("{seed:?} {digest}").as_bytes()).to_hex();
     format!("j{}", &hash[..16])
 }

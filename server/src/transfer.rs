@@ -28,17 +28,9 @@ impl Upload {
     pub async fn begin(service: &Service, declared: Option<u64>) -> Result<Self, Error> {
         let limit = service.limits.blob_bytes;
         if let Some(size) = declared.filter(|size| *size > limit) {
-            return Err(Error::new(
-                Kind::TooLarge,
-                format!("{size} bytes, allowed are {limit}"),
-            ));
+            return Err(Error::new(Kind::TooLarge, format!("{size} bytes, allowed are {limit}")));
         }
-        Ok(Self {
-            sink: service.with_blobs(|blobs| blobs.begin()).await?,
-            size: 0,
-            declared,
-            limit,
-        })
+        Ok(Self { sink: service.with_blobs(|blobs| blobs.begin()).await?, size: 0, declared, limit })
     }
 
     /// Adds bytes.

@@ -21,15 +21,11 @@ pub fn plan(plan: &Plan, cached: impl Fn(&str) -> bool) -> v1::Plan {
         why: Some(omission.why.clone()),
         bound: Some(omission.bound),
     });
-    let parts = plan.error_estimate.iter().map(|part| v1::ErrorPart {
-        part: Some(part.part.clone()),
-        relative: Some(part.relative),
-    });
-    let frames = plan
-        .shards
+    let parts = plan
+        .error_estimate
         .iter()
-        .map(|shard| shard.first_frame + shard.frame_count)
-        .max();
+        .map(|part| v1::ErrorPart { part: Some(part.part.clone()), relative: Some(part.relative) });
+    let frames = plan.shards.iter().map(|shard| shard.first_frame + shard.frame_count).max();
     let region = &plan.region;
     v1::Plan {
         experiment_digest: Some(plan.experiment.to_string()),
@@ -55,10 +51,7 @@ pub fn job(state: &State, job: &Job) -> v1::Job {
     let seconds = |ms: u64| ms as f64 / 1e3;
     v1::Job {
         id: Some(job.id.clone()),
-        state: JobState::ALL
-            .iter()
-            .position(|one| *one == job.state)
-            .map(|number| number as i32),
+        state: JobState::ALL.iter().position(|one| *one == job.state).map(|number| number as i32),
         experiment_digest: Some(job.experiment_digest.clone()),
         created_unix_s: Some(seconds(job.created_ms)),
         finished_unix_s: job.finished_ms.map(seconds),
@@ -72,11 +65,7 @@ pub fn job(state: &State, job: &Job) -> v1::Job {
 
 fn progress(state: &State, job: &Job) -> v1::Progress {
     let ready = job.artifacts.iter().filter(|key| state.ready(key)).count();
-    let builds_total = if job.state == JobState::Succeeded {
-        ready
-    } else {
-        job.artifacts.len()
-    };
+    let builds_total = if job.state == JobState::Succeeded { ready } else { job.artifacts.len() };
     let leased = job.shards.iter().any(|shard| shard.lease.phase == Phase::Leased);
     let stage = match job.state {
         JobState::Queued => "waiting for a worker".to_owned(),

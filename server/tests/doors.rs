@@ -1,9 +1,5 @@
 //! Both doors over real sockets: a job from its submission to its results, errors, uploads, restarts.
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "a test says by panicking what is wrong"
-)]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test says by panicking what is wrong")]
 
 mod common;
 
@@ -35,18 +31,13 @@ async fn a_job_runs_and_survives_a_restart_and_damage() {
     let address = server.local_addr();
     assert!(work(&server.channel()).await > 2);
     let job = get(address, &format!("/v1/jobs/{id}")).await.json();
-    assert_eq!(
-        (&job["state"], &job["cones"]),
-        (&json!("SUCCEEDED"), &json!(CONES.to_string()))
-    );
+    assert_eq!((&job["state"], &job["cones"]), (&json!("SUCCEEDED"), &json!(CONES.to_string())));
     let digest = job["result_digest"].clone();
 
     let npy = get(address, &format!("/v1/jobs/{id}/counts.npy")).await;
     assert!(String::from_utf8_lossy(&npy.body).contains("'shape': (3, 5)"));
-    let values: Vec<u32> = npy.body[128..]
-        .chunks(4)
-        .map(|v| u32::from_le_bytes(v.try_into().unwrap()))
-        .collect();
+    let values: Vec<u32> =
+        npy.body[128..].chunks(4).map(|v| u32::from_le_bytes(v.try_into().unwrap())).collect();
     assert_eq!(values, [0, 1, 2, 3, 4, 1, 2, 3, 4, 5, 2, 3, 4, 5, 6]);
     let arrow = get(address, &format!("/v1/jobs/{id}/results?from=1")).await;
     assert!(arrow.head.contains("application/vnd.apache.arrow.stream") && arrow.body.len() > 500);
@@ -67,10 +58,7 @@ async fn a_job_runs_and_survives_a_restart_and_damage() {
     assert_eq!(again.body, npy.body);
     working.await.unwrap();
     let job = get(address, &format!("/v1/jobs/{id}")).await.json();
-    assert_eq!(
-        (&job["state"], &job["result_digest"]),
-        (&json!("SUCCEEDED"), &digest)
-    );
+    assert_eq!((&job["state"], &job["result_digest"]), (&json!("SUCCEEDED"), &digest));
     server.shutdown().await;
 }
 
@@ -94,26 +82,14 @@ fn damage_one_chunk(folder: &std::path::Path) {
 async fn grpc_streams_what_rest_created() {
     let folder = tempfile::tempdir().unwrap();
     let server = start(folder.path()).await;
-    let id = post(server.local_addr(), "/v1/jobs", &spec()).await.json()["id"]
-        .as_str()
-        .unwrap()
-        .to_owned();
+    let id = post(server.local_addr(), "/v1/jobs", &spec()).await.json()["id"].as_str().unwrap().to_owned();
     // Over TCP like any client from outside.
-    let channel = Channel::from_shared(format!("http://{}", server.local_addr()))
-        .unwrap()
-        .connect()
-        .await
-        .unwrap();
+    let channel =
+        Channel::from_shared(format!("http://{}", server.local_addr())).unwrap().connect().await.unwrap();
     let mut client = ExperimentsClient::new(channel.clone());
-    let request = v1::StreamResultsRequest {
-        id: Some(id.clone()),
-        from: None,
-    };
+    let request = v1::StreamResultsRequest { id: Some(id.clone()), from: None };
     let mut chunks = client.stream_results(request).await.unwrap().into_inner();
-    let request = v1::WatchJobRequest {
-        id: Some(id.clone()),
-        after: None,
-    };
+    let request = v1::WatchJobRequest { id: Some(id.clone()), after: None };
     let mut events = client.watch_job(request).await.unwrap().into_inner();
     work(&channel).await;
     let mut seen = Vec::new();
@@ -127,26 +103,14 @@ async fn grpc_streams_what_rest_created() {
     assert_eq!(seen, [1, 2, 3]);
     let mut last = None;
     while let Some(event) = events.message().await.unwrap() {
-        assert!(
-            last.as_ref()
-                .is_none_or(|last: &v1::JobEvent| last.seq() < event.seq())
-        );
+        assert!(last.as_ref().is_none_or(|last: &v1::JobEvent| last.seq() < event.seq()));
         last = Some(event);
     }
     assert_eq!(last.unwrap().job.unwrap().state(), v1::job::State::Succeeded);
-    let sse = http(
-        server.local_addr(),
-        "GET",
-        &format!("/v1/jobs/{id}/events"),
-        &[("Last-Event-ID", "1")],
-        b"",
-    )
-    .await;
-    assert!(
-        sse.text().contains("id: ") && sse.text().contains("\"SUCCEEDED\""),
-        "{}",
-        sse.text()
-    );
+    let sse =
+        http(server.local_addr(), "GET", &format!("/v1/jobs/{id}/events"), &[("Last-Event-ID", "1")], b"")
+            .await;
+    assert!(sse.text().contains("id: ") && sse.text().contains("\"SUCCEEDED\""), "{}", sse.text());
     server.shutdown().await;
 }
 
@@ -160,10 +124,7 @@ async fn both_doors_give_the_same_verdict() {
         ("eye", json!({"pupil_mm": 99})),
         ("eye", json!({"preset": "cat"})),
         ("retina", json!({"generator": "RING"})),
-        (
-            "video",
-            json!({"clip": {"blobs": [BlobDigest::of(b"absent").to_string()]}}),
-        ),
+        ("video", json!({"clip": {"blobs": [BlobDigest::of(b"absent").to_string()]}})),
         ("display", json!({"preset": "lcos-3chip", "distance_cm": -0.0})),
         ("gaze", json!({"center_px": [1, 2, 3]})),
         ("frames", json!({"count": 0})),
@@ -175,11 +136,7 @@ async fn both_doors_give_the_same_verdict() {
     for spec in with {
         let message = photoneye_proto::experiment_from_json(&spec.to_string()).unwrap();
         let rest = post(server.local_addr(), "/v1/plans", &spec).await;
-        let grpc = client
-            .plan(v1::PlanRequest {
-                experiment: Some(message),
-            })
-            .await;
+        let grpc = client.plan(v1::PlanRequest { experiment: Some(message) }).await;
         match grpc {
             Ok(reply) => {
                 assert_eq!(rest.status, 200);
@@ -188,16 +145,9 @@ async fn both_doors_give_the_same_verdict() {
             }
             Err(status) => {
                 let problem = rest.json();
-                assert_eq!(
-                    (rest.status, status.code()),
-                    (400, tonic::Code::InvalidArgument),
-                    "{spec}"
-                );
+                assert_eq!((rest.status, status.code()), (400, tonic::Code::InvalidArgument), "{spec}");
                 let field = problem["field"].as_str().unwrap();
-                assert_eq!(
-                    format!("{field}: {}", problem["detail"].as_str().unwrap()),
-                    status.message()
-                );
+                assert_eq!(format!("{field}: {}", problem["detail"].as_str().unwrap()), status.message());
             }
         }
     }
@@ -221,24 +171,13 @@ async fn a_repeated_request_is_one_job() {
     assert_eq!(list["jobs"].as_array().unwrap().len(), 1);
     // The form that MATLAB and Octave send.
     let form = [("content-type", "application/x-www-form-urlencoded")];
-    let encoded = text
-        .bytes()
-        .map(|byte| format!("%{byte:02X}"))
-        .collect::<Vec<_>>()
-        .concat();
+    let encoded = text.bytes().map(|byte| format!("%{byte:02X}")).collect::<Vec<_>>().concat();
     // Longer than any address line may be.
     let body = format!("spec={encoded}{}", "+".repeat(200_000));
     let sent = http(server.local_addr(), "POST", "/v1/jobs", &form, body.as_bytes()).await;
     assert_eq!(sent.status, 201, "{}", sent.text());
     let id = sent.json()["id"].as_str().unwrap().to_owned();
-    let cancelled = http(
-        server.local_addr(),
-        "POST",
-        &format!("/v1/jobs/{id}/cancel"),
-        &[],
-        b"",
-    )
-    .await;
+    let cancelled = http(server.local_addr(), "POST", &format!("/v1/jobs/{id}/cancel"), &[], b"").await;
     assert_eq!(cancelled.json()["state"], "CANCELLED");
     server.shutdown().await;
 }
@@ -285,18 +224,8 @@ async fn every_other_path_answers() {
         let answer = get(address, path).await;
         assert_eq!(answer.status, 200, "{path}: {}", answer.text());
     }
-    assert!(
-        get(address, "/v1/spectra")
-            .await
-            .text()
-            .contains("projector-uhp/red")
-    );
-    assert!(
-        get(address, "/metrics")
-            .await
-            .text()
-            .contains("photoneye_jobs{state=\"queued\"} 0")
-    );
+    assert!(get(address, "/v1/spectra").await.text().contains("projector-uhp/red"));
+    assert!(get(address, "/metrics").await.text().contains("photoneye_jobs{state=\"queued\"} 0"));
     for (method, path, status) in [
         ("GET", "/v1/nothing", 404),
         ("GET", "/v1/jobs/j0", 404),
@@ -322,21 +251,12 @@ async fn what_prevents_a_start_is_named() {
     let mut options = Options::new(tempfile::tempdir().unwrap().path());
     options.listen = server.local_addr();
     let taken = Server::start(options.clone()).await.unwrap_err().to_string();
-    assert!(
-        taken.starts_with(&format!("cannot listen on {}", server.local_addr())),
-        "{taken}"
-    );
+    assert!(taken.starts_with(&format!("cannot listen on {}", server.local_addr())), "{taken}");
     options.listen = ([0, 0, 0, 0], 0).into();
-    assert!(matches!(
-        Server::start(options.clone()).await,
-        Err(StartError::Open(_))
-    ));
+    assert!(matches!(Server::start(options.clone()).await, Err(StartError::Open(_))));
     options.listen = ([127, 0, 0, 1], 0).into();
     options.data_dir = folder.path().to_owned();
-    assert!(matches!(
-        Server::start(options.clone()).await,
-        Err(StartError::InUse(_))
-    ));
+    assert!(matches!(Server::start(options.clone()).await, Err(StartError::InUse(_))));
     options.data_dir = "/proc/photoneye".into();
     let unwritable = Server::start(options).await.unwrap_err().to_string();
     assert!(unwritable.contains("/proc/photoneye"), "{unwritable}");
@@ -348,14 +268,8 @@ async fn cones_and_pictures_come_from_the_retina() {
     let folder = tempfile::tempdir().unwrap();
     let server = start(folder.path()).await;
     let address = server.local_addr();
-    let id = post(address, "/v1/jobs", &spec()).await.json()["id"]
-        .as_str()
-        .unwrap()
-        .to_owned();
-    assert_eq!(
-        get(address, &format!("/v1/jobs/{id}/cones.arrow")).await.status,
-        409
-    );
+    let id = post(address, "/v1/jobs", &spec()).await.json()["id"].as_str().unwrap().to_owned();
+    assert_eq!(get(address, &format!("/v1/jobs/{id}/cones.arrow")).await.status, 409);
     work_on(&server.channel(), true).await;
     let job = get(address, &format!("/v1/jobs/{id}")).await.json();
     let file = get(address, &format!("/v1/jobs/{id}/cones.arrow")).await;
@@ -364,10 +278,7 @@ async fn cones_and_pictures_come_from_the_retina() {
     assert_eq!(job["cones"], json!(cones.len().to_string()));
     let (x, y) = (cones.x_um[0] as f32, cones.y_um[0] as f32);
     let corner = cones.polygon_of(0);
-    assert!(
-        (corner[0] - x).hypot(corner[1] - y) < 10.0,
-        "a polygon lies around its cone"
-    );
+    assert!((corner[0] - x).hypot(corner[1] - y) < 10.0, "a polygon lies around its cone");
     let mut pieces = ExperimentsClient::new(server.channel())
         .get_cones(v1::JobRequest { id: Some(id.clone()) })
         .await
@@ -383,15 +294,7 @@ async fn cones_and_pictures_come_from_the_retina() {
     let size =
         photoneye_eye::video::png_size(&picture.body, photoneye_eye::video::Limits::default()).unwrap();
     assert_eq!(size.0.max(size.1), 64);
-    assert_eq!(
-        get(address, &format!("/v1/jobs/{id}/frames/3.png")).await.status,
-        404
-    );
-    assert_eq!(
-        get(address, &format!("/v1/jobs/{id}/frames/0.png?side=0"))
-            .await
-            .status,
-        400
-    );
+    assert_eq!(get(address, &format!("/v1/jobs/{id}/frames/3.png")).await.status, 404);
+    assert_eq!(get(address, &format!("/v1/jobs/{id}/frames/0.png?side=0")).await.status, 400);
     server.shutdown().await;
 }

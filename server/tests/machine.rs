@@ -38,10 +38,7 @@ fn job(id: &str, request: Option<(String, String)>) -> NewJob {
             artifact("cones1", &["mosaic"]),
             artifact("kernel", &[]),
         ],
-        tiles: vec![
-            vec!["cones0".into(), "kernel".into()],
-            vec!["cones1".into(), "kernel".into()],
-        ],
+        tiles: vec![vec!["cones0".into(), "kernel".into()], vec!["cones1".into(), "kernel".into()]],
         shards: vec![(0, 2, 0), (0, 2, 1), (2, 2, 0), (2, 2, 1)],
         shard_us: 500,
         request,
@@ -53,37 +50,21 @@ fn create(id: &str) -> Command {
 }
 
 fn take(worker: &str) -> Command {
-    Command::Lease {
-        worker: worker.into(),
-        local: false,
-        holds: BTreeSet::new(),
-    }
+    Command::Lease { worker: worker.into(), local: false, holds: BTreeSet::new() }
 }
 
 /// The right commit for a piece of work; `salt` stands for what the computation gave.
 fn commit(state: &State, id: WorkId, fence: u64, salt: u32) -> Command {
     let commit = match &id {
-        WorkId::Build(key) => Commit::Artifact {
-            digest: BlobDigest::of(key.as_bytes()),
-            cones: Some(10),
-        },
+        WorkId::Build(key) => Commit::Artifact { digest: BlobDigest::of(key.as_bytes()), cones: Some(10) },
         WorkId::Shard(job, number) => {
             let shard = &state.jobs[job].shards[*number as usize];
             let frames = shard.first_frame..shard.first_frame + shard.frame_count;
             let digest = |frame| BlobDigest::of(format!("{frame} {} {salt}", shard.tile).as_bytes());
-            Commit::Shard(
-                frames
-                    .map(|frame| (frame, digest(frame), Summary::default()))
-                    .collect(),
-            )
+            Commit::Shard(frames.map(|frame| (frame, digest(frame), Summary::default())).collect())
         }
     };
-    Command::Commit {
-        id,
-        fence,
-        commit,
-        report_json: Some("{}".into()),
-    }
+    Command::Commit { id, fence, commit, report_json: Some("{}".into()) }
 }
 
 /// Runs everything that there is to do.
@@ -118,9 +99,7 @@ fn a_job_runs_to_its_end_and_shares_its_artifacts() {
 fn a_superseded_lease_cannot_commit() {
     let mut state = State::default();
     step(&mut state, create("a"), 0);
-    let Reply::Leased(Some((id, old))) = step(&mut state, take("w"), 0).reply else {
-        panic!()
-    };
+    let Reply::Leased(Some((id, old))) = step(&mut state, take("w"), 0).reply else { panic!() };
     step(&mut state, Command::Reap, lease::TTL_MS);
     let Reply::Leased(Some((again, new))) = step(&mut state, take("w"), lease::TTL_MS).reply else {
         panic!()
@@ -138,15 +117,8 @@ fn a_deterministic_failure_ends_every_job_that_needs_the_work() {
     let mut state = State::default();
     step(&mut state, create("a"), 0);
     step(&mut state, create("b"), 0);
-    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else {
-        panic!()
-    };
-    let fail = Command::Fail {
-        id,
-        fence,
-        message: "no such eye".into(),
-        deterministic: true,
-    };
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else { panic!() };
+    let fail = Command::Fail { id, fence, message: "no such eye".into(), deterministic: true };
     step(&mut state, fail, 5);
     for job in state.jobs.values() {
         assert_eq!(job.state, JobState::Failed);
@@ -163,30 +135,13 @@ fn a_deterministic_failure_ends_every_job_that_needs_the_work() {
 fn a_cancelled_job_gives_its_work_back() {
     let mut state = State::default();
     step(&mut state, create("a"), 0);
-    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else {
-        panic!()
-    };
-    assert_eq!(
-        step(&mut state, Command::Cancel("a".into()), 1).reply,
-        Reply::Done
-    );
-    assert_eq!(
-        step(&mut state, Command::Cancel("x".into()), 1).reply,
-        Reply::NoSuchJob
-    );
-    let beat = Command::Beat {
-        id: id.clone(),
-        fence,
-        stage: String::new(),
-    };
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else { panic!() };
+    assert_eq!(step(&mut state, Command::Cancel("a".into()), 1).reply, Reply::Done);
+    assert_eq!(step(&mut state, Command::Cancel("x".into()), 1).reply, Reply::NoSuchJob);
+    let beat = Command::Beat { id: id.clone(), fence, stage: String::new() };
     assert_eq!(step(&mut state, beat, 2).reply, Reply::Held(false));
     assert_eq!(step(&mut state, take("w"), 2).reply, Reply::Leased(None));
-    assert!(
-        state.jobs["a"]
-            .shards
-            .iter()
-            .all(|shard| shard.lease.phase == Phase::Cancelled)
-    );
+    assert!(state.jobs["a"].shards.iter().all(|shard| shard.lease.phase == Phase::Cancelled));
 }
 
 #[test]
@@ -200,10 +155,7 @@ fn lost_bytes_are_made_again() {
     assert_eq!(state.jobs["a"].state, JobState::Running);
     assert_eq!(drain(&mut state), 2);
     let after = &state.jobs["a"];
-    assert_eq!(
-        (&after.chunks, &after.result_digest),
-        (&before.chunks, &before.result_digest)
-    );
+    assert_eq!((&after.chunks, &after.result_digest), (&before.chunks, &before.result_digest));
     assert_eq!(state.nondeterministic, 0);
     // Without a job that needs it, an artifact is made again when somebody asks.
     step(&mut state, Command::LostArtifact("cones1".into()), 2);
@@ -217,9 +169,7 @@ fn another_result_for_the_same_work_raises_the_alarm() {
     step(&mut state, create("a"), 0);
     drain(&mut state);
     step(&mut state, Command::LostChunk("a".into(), 0, 0), 1);
-    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 1).reply else {
-        panic!()
-    };
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 1).reply else { panic!() };
     let other = commit(&state, id, fence, 1);
     step(&mut state, other, 1);
     assert_eq!(state.nondeterministic, 2);
@@ -232,17 +182,13 @@ fn a_short_job_does_not_wait_for_a_long_one() {
     long.shards = (0..1000).map(|i| (2 * i, 2, 0)).collect();
     step(&mut state, Command::Create(Box::new(long)), 0);
     for _ in 0..50 {
-        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else {
-            panic!()
-        };
+        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else { panic!() };
         let command = commit(&state, id, fence, 0);
         step(&mut state, command, 0);
     }
     step(&mut state, create("short"), 0);
     for _ in 0..12 {
-        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else {
-            panic!()
-        };
+        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else { panic!() };
         let command = commit(&state, id, fence, 0);
         step(&mut state, command, 0);
     }
@@ -286,11 +232,7 @@ fn deed() -> impl Strategy<Value = Deed> {
 /// The command of a deed in a state; `None` when there is nothing to do it to.
 fn command(deed: &Deed, state: &State, count: usize) -> Option<Command> {
     let held = |which: usize| {
-        let id = state
-            .leased
-            .iter()
-            .nth(which % state.leased.len().max(1))?
-            .clone();
+        let id = state.leased.iter().nth(which % state.leased.len().max(1))?.clone();
         let fence = state.lease(&id)?.fence;
         Some((id, fence))
     };
@@ -306,12 +248,7 @@ fn command(deed: &Deed, state: &State, count: usize) -> Option<Command> {
         }
         Deed::Fail { which, deterministic } => {
             let (id, fence) = held(*which)?;
-            Command::Fail {
-                id,
-                fence,
-                message: "m".into(),
-                deterministic: *deterministic,
-            }
+            Command::Fail { id, fence, message: "m".into(), deterministic: *deterministic }
         }
         Deed::Release(which) => {
             let (id, fence) = held(*which)?;
@@ -319,11 +256,7 @@ fn command(deed: &Deed, state: &State, count: usize) -> Option<Command> {
         }
         Deed::Beat(which) => {
             let (id, fence) = held(*which)?;
-            Command::Beat {
-                id,
-                fence,
-                stage: "s".into(),
-            }
+            Command::Beat { id, fence, stage: "s".into() }
         }
         Deed::Cancel(n) => Command::Cancel(format!("job {n}")),
         Deed::Wait(_) => Command::Reap,
@@ -345,31 +278,21 @@ fn stored(state: &State) -> State {
         job.open.retain(|_, shards| !shards.is_empty());
     });
     state.index(0);
-    state
-        .jobs
-        .values_mut()
-        .for_each(|job| job.open.retain(|_, shards| !shards.is_empty()));
+    state.jobs.values_mut().for_each(|job| job.open.retain(|_, shards| !shards.is_empty()));
     state
 }
 
 /// What must hold in every state.
 fn check(state: &State) {
     for job in state.jobs.values() {
-        let done = job
-            .shards
-            .iter()
-            .filter(|shard| shard.lease.phase == Phase::Done)
-            .count();
+        let done = job.shards.iter().filter(|shard| shard.lease.phase == Phase::Done).count();
         assert_eq!(job.left, job.shards.len() - done);
         assert_eq!(job.state == JobState::Succeeded, job.left == 0, "{job:?}");
         assert_eq!(job.result_digest.is_some(), job.state == JobState::Succeeded);
         assert_eq!(job.state.active(), state.active.contains(&job.id));
         let mut numbers: Vec<u64> = job.chunks.values().map(|chunk| chunk.seq).collect();
         numbers.sort_unstable();
-        assert!(
-            numbers.into_iter().eq(1..=job.chunks.len() as u64),
-            "numbers are dense"
-        );
+        assert!(numbers.into_iter().eq(1..=job.chunks.len() as u64), "numbers are dense");
         if !job.state.active() {
             let over = |phase| matches!(phase, Phase::Done | Phase::Cancelled | Phase::Failed);
             assert!(
@@ -423,9 +346,7 @@ proptest! {
 #[ignore = "a measurement"]
 async fn speed_of_lease_and_commit() {
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
-    let mut store = SqliteStore::open(&folder.path().join("jobs.db"), 0)
-        .await
-        .unwrap();
+    let mut store = SqliteStore::open(&folder.path().join("jobs.db"), 0).await.unwrap();
     let mut long = job("a", None);
     long.shards = (0..5000).map(|i| (2 * i, 2, 0)).collect();
     store.execute(Command::Create(Box::new(long)), 0).await.unwrap();
@@ -440,12 +361,6 @@ async fn speed_of_lease_and_commit() {
     println!("{count} leases and commits, {rate:.0} per second");
     let start = std::time::Instant::now();
     drop(store);
-    let store = SqliteStore::open(&folder.path().join("jobs.db"), 0)
-        .await
-        .unwrap();
-    println!(
-        "opened again in {:?}, job {:?}",
-        start.elapsed(),
-        store.state().jobs["a"].state
-    );
+    let store = SqliteStore::open(&folder.path().join("jobs.db"), 0).await.unwrap();
+    println!("opened again in {:?}, job {:?}", start.elapsed(), store.state().jobs["a"].state);
 }

@@ -29,16 +29,10 @@ fn with(part: &str, value: Value) -> Value {
 #[test]
 fn defaults_are_filled_in() {
     let read = read(&with("eye", json!({}))).unwrap();
-    assert_eq!(
-        (read.eye.pupil_mm.to_bits(), read.retina.seed, read.frames),
-        (3.0_f64.to_bits(), 1, 1)
-    );
+    assert_eq!((read.eye.pupil_mm.to_bits(), read.retina.seed, read.frames), (3.0_f64.to_bits(), 1, 1));
     assert_eq!(read.gaze.movement, Movement::Still);
     assert_eq!(read.gaze.center_px, [15.0, 15.0]);
-    assert!(
-        (read.eye.focus_distance_cm - 800.0).abs() < 1e-9,
-        "the display's distance"
-    );
+    assert!((read.eye.focus_distance_cm - 800.0).abs() < 1e-9, "the display's distance");
     assert_eq!(read.display.primaries.len(), 3);
 }
 
@@ -49,11 +43,7 @@ fn zero_is_a_value_and_minus_zero_is_zero() {
     assert!(
         matches!(zero.gaze.movement, Movement::Drift { speed_arcmin_per_s, .. } if speed_arcmin_per_s.to_bits() == 0)
     );
-    let minus = read(&with(
-        "gaze",
-        json!({"movement": {"drift": {"speed_arcmin_per_s": -0.0}}}),
-    ))
-    .unwrap();
+    let minus = read(&with("gaze", json!({"movement": {"drift": {"speed_arcmin_per_s": -0.0}}}))).unwrap();
     assert_eq!(zero.digest().unwrap(), minus.digest().unwrap());
 }
 
@@ -84,43 +74,23 @@ fn frames_follow_the_pictures() {
 #[test]
 fn errors_name_the_field_and_what_is_allowed() {
     let cases = [
-        (
-            "eye",
-            json!({"pupil_mm": 12}),
-            "eye.pupil_mm: 12 is out of range, allowed is 0.5 to 9",
-        ),
+        ("eye", json!({"pupil_mm": 12}), "eye.pupil_mm: 12 is out of range, allowed is 0.5 to 9"),
         ("eye", json!({"preset": "cat"}), "eye.preset: unknown eye `cat`"),
         (
             "eye",
             json!({"stiles_crawford": {"rho_per_mm2": 1}}),
             "eye.stiles_crawford.rho_per_mm2: 1 is out of range",
         ),
-        (
-            "retina",
-            json!({"generator": "RING"}),
-            "retina.generator: `RING` is not built yet",
-        ),
-        (
-            "retina",
-            json!({"region_deg": {"x_min": 0}}),
-            "retina.region_deg.x_max: is missing",
-        ),
+        ("retina", json!({"generator": "RING"}), "retina.generator: `RING` is not built yet"),
+        ("retina", json!({"region_deg": {"x_min": 0}}), "retina.region_deg.x_max: is missing"),
         (
             "retina",
             json!({"cone_ratio": {"l": 0, "m": 0, "s": 0}}),
             "retina.cone_ratio: the shares are all 0",
         ),
-        (
-            "retina",
-            json!({"cone_ratio": {"l": -1}}),
-            "retina.cone_ratio.l: -1 is out of range",
-        ),
+        ("retina", json!({"cone_ratio": {"l": -1}}), "retina.cone_ratio.l: -1 is out of range"),
         ("display", json!({}), "display.white_luminance_cd_m2: is missing"),
-        (
-            "display",
-            json!({"preset": "x"}),
-            "display.preset: unknown display `x`, expected one of `",
-        ),
+        ("display", json!({"preset": "x"}), "display.preset: unknown display `x`, expected one of `"),
         (
             "display",
             json!({"preset": "lcos-3chip", "lumens": 1, "white_luminance_cd_m2": 1}),
@@ -141,11 +111,7 @@ fn errors_name_the_field_and_what_is_allowed() {
             json!({"preset": "lcos-3chip", "primaries": [{"name": "pink"}]}),
             "display.primaries[0].name: unknown primary `pink`",
         ),
-        (
-            "video",
-            json!({"files": {"paths": ["/etc/passwd"]}}),
-            "video.files: the server reads no files",
-        ),
+        ("video", json!({"files": {"paths": ["/etc/passwd"]}}), "video.files: the server reads no files"),
         ("video", json!({}), "video: is empty, expected one of"),
         (
             "video",
@@ -157,37 +123,13 @@ fn errors_name_the_field_and_what_is_allowed() {
             json!({"pattern": {"uniform": {"rgb": [1, 2, 0]}}}),
             "video.pattern.uniform.rgb[1]: 2 is out of range",
         ),
-        (
-            "video",
-            json!({"clip": {"blobs": ["x"]}}),
-            "video.clip.blobs[0]: `x` is not a digest",
-        ),
-        (
-            "video",
-            json!({"clip": {"blobs": []}}),
-            "video.clip.blobs: 0 is out of range",
-        ),
-        (
-            "gaze",
-            json!({"center_px": [1]}),
-            "gaze.center_px: 1 values, expected 2",
-        ),
-        (
-            "counts",
-            json!({"engine": "EVENTS"}),
-            "counts.engine: `EVENTS` is not built yet",
-        ),
+        ("video", json!({"clip": {"blobs": ["x"]}}), "video.clip.blobs[0]: `x` is not a digest"),
+        ("video", json!({"clip": {"blobs": []}}), "video.clip.blobs: 0 is out of range"),
+        ("gaze", json!({"center_px": [1]}), "gaze.center_px: 1 values, expected 2"),
+        ("counts", json!({"engine": "EVENTS"}), "counts.engine: `EVENTS` is not built yet"),
         ("counts", json!({"noise": 7}), "counts.noise: invalid value"),
-        (
-            "frames",
-            json!({"count": 0}),
-            "frames.count: 0 is out of range, allowed is 1 to 100000",
-        ),
-        (
-            "accuracy",
-            json!({"target": 1}),
-            "accuracy.target: 1 is out of range",
-        ),
+        ("frames", json!({"count": 0}), "frames.count: 0 is out of range, allowed is 1 to 100000"),
+        ("accuracy", json!({"target": 1}), "accuracy.target: 1 is out of range"),
     ];
     for (part, value, expected) in cases {
         let error = read(&with(part, value.clone())).unwrap_err();
@@ -208,10 +150,7 @@ fn what_only_binary_messages_can_say_is_refused_too() {
     let infinite = message(&|m| m.display.as_mut().unwrap().distance_cm = Some(f64::INFINITY));
     assert!(infinite.starts_with("display.distance_cm: inf"), "{infinite}");
     let side = message(&|m| m.eye.as_mut().unwrap().side = Some(9));
-    assert_eq!(
-        side,
-        "eye.side: unknown variant `9`, expected one of `RIGHT`, `LEFT`"
-    );
+    assert_eq!(side, "eye.side: unknown variant `9`, expected one of `RIGHT`, `LEFT`");
 }
 
 #[test]

@@ -15,10 +15,7 @@ pub struct BlobDigest {
 impl BlobDigest {
     /// The digest of these bytes.
     pub fn of(bytes: &[u8]) -> Self {
-        Self {
-            hash: blake3::hash(bytes).into(),
-            size: bytes.len() as u64,
-        }
+        Self { hash: blake3::hash(bytes).into(), size: bytes.len() as u64 }
     }
 
     /// The hash as 64 hex digits.
@@ -50,10 +47,7 @@ impl FromStr for BlobDigest {
 fn parse(text: &str) -> Option<BlobDigest> {
     let (hex, size_text) = text.strip_prefix("b3:")?.split_once('/')?;
     let size: u64 = size_text.parse().ok()?;
-    let digest = BlobDigest {
-        hash: *blake3::Hash::from_hex(hex).ok()?.as_bytes(),
-        size,
-    };
+    let digest = BlobDigest { hash: *blake3::Hash::from_hex(hex).ok()?.as_bytes(), size };
     (digest.to_string() == text).then_some(digest)
 }
 
@@ -65,10 +59,7 @@ mod tests {
     fn text_and_back() {
         let digest = BlobDigest::of(b"");
         let text = digest.to_string();
-        assert_eq!(
-            text,
-            "b3:af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262/0"
-        );
+        assert_eq!(text, "b3:af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262/0");
         assert_eq!(text.parse(), Ok(digest));
         for wrong in [
             "",

@@ -48,10 +48,7 @@ impl FolderStore {
     /// Where a blob is or would be.
     pub fn path(&self, digest: &BlobDigest) -> PathBuf {
         let hex = digest.hex();
-        self.root
-            .join("blobs")
-            .join(&hex[..2])
-            .join(format!("{hex}-{}", digest.size))
+        self.root.join("blobs").join(&hex[..2]).join(format!("{hex}-{}", digest.size))
     }
 
     fn remove_stale(&self) {
@@ -119,13 +116,8 @@ impl Blobs for FolderStore {
             return Err(self.set_aside(digest, &path));
         }
         let mut bytes = Vec::with_capacity(length as usize);
-        file.read_to_end(&mut bytes)
-            .map_err(|e| io_error("read", &path, e))?;
-        if BlobDigest::of(&bytes) == *digest {
-            Ok(bytes)
-        } else {
-            Err(self.set_aside(digest, &path))
-        }
+        file.read_to_end(&mut bytes).map_err(|e| io_error("read", &path, e))?;
+        if BlobDigest::of(&bytes) == *digest { Ok(bytes) } else { Err(self.set_aside(digest, &path)) }
     }
 
     fn has(&self, digest: &BlobDigest) -> Result<bool, StoreError> {
@@ -150,49 +142,30 @@ struct Sink {
 impl Sink {
     fn new(store: &FolderStore) -> Result<Self, StoreError> {
         static COUNTER: AtomicU64 = AtomicU64::new(0);
-        let now = SystemTime::now()
-            .duration_since(SystemTime::UNIX_EPOCH)
-            .unwrap_or_default();
-        let name = format!(
-            "{}-{}-{}",
-            std::process::id(),
-            now.as_nanos(),
-            COUNTER.fetch_add(1, Ordering::Relaxed)
-        );
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let name =
+            format!("{}-{}-{}", std::process::id(), now.as_nanos(), COUNTER.fetch_add(1, Ordering::Relaxed));
         let path = store.root.join("tmp").join(name);
         let file = File::create_new(&path).map_err(|e| io_error("write", &path, e))?;
-        Ok(Self {
-            store: store.clone(),
-            file,
-            path,
-            hasher: blake3::Hasher::new(),
-            size: 0,
-        })
+        Ok(Self { store: store.clone(), file, path, hasher: blake3::Hasher::new(), size: 0 })
     }
 }
 
 impl BlobSink for Sink {
     fn write(&mut self, bytes: &[u8]) -> Result<(), StoreError> {
-        self.file
-            .write_all(bytes)
-            .map_err(|e| io_error("write", &self.path, e))?;
+        self.file.write_all(bytes).map_err(|e| io_error("write", &self.path, e))?;
         self.hasher.update(bytes);
         self.size += bytes.len() as u64;
         Ok(())
     }
 
     fn finish(self: Box<Self>) -> Result<BlobDigest, StoreError> {
-        let digest = BlobDigest {
-            hash: self.hasher.finalize().into(),
-            size: self.size,
-        };
+        let digest = BlobDigest { hash: self.hasher.finalize().into(), size: self.size };
         // A whole copy that is there already is durable already; a damaged one is replaced.
         if self.store.open(&digest).is_ok() {
             return Ok(digest);
         }
-        self.file
-            .sync_all()
-            .map_err(|e| io_error("sync", &self.path, e))?;
+        self.file.sync_all().map_err(|e| io_error("sync", &self.path, e))?;
         let target = self.store.path(&digest);
         let folder = target.parent().unwrap_or(&self.store.root);
         if !folder.is_dir() {
@@ -218,11 +191,7 @@ fn sync_folder(path: &Path) -> Result<(), StoreError> {
 }
 
 fn io_error(action: &'static str, path: &Path, source: io::Error) -> StoreError {
-    StoreError::Io {
-        action,
-        path: path.to_owned(),
-        source,
-    }
+    StoreError::Io { action, path: path.to_owned(), source }
 }
 
 #[cfg(test)]
@@ -266,11 +235,7 @@ mod tests {
         for damaged in [&b"twelve bytez"[..], b"twelve", b"twelve bytes and more", b""] {
             for by_get in [true, false] {
                 fs::write(store.path(&digest), damaged).unwrap();
-                let error = if by_get {
-                    store.get(&digest).err()
-                } else {
-                    store.open(&digest).err()
-                };
+                let error = if by_get { store.get(&digest).err() } else { store.open(&digest).err() };
                 assert!(matches!(error, Some(StoreError::Damaged(d)) if d == digest));
                 assert!(matches!(store.get(&digest), Err(StoreError::Missing(_))));
                 store.put(b"twelve bytes").unwrap();
@@ -299,9 +264,6 @@ mod tests {
         let file = folder.path().join("file");
         fs::write(&file, b"").unwrap();
         let error = FolderStore::open(file.join("store")).unwrap_err().to_string();
-        assert!(
-            error.contains("cannot make") && error.contains("file/store"),
-            "{error}"
-        );
+        assert!(error.contains("cannot make") && error.contains("file/store"), "{error}");
     }
 }

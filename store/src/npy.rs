@@ -70,12 +70,9 @@ mod tests {
 
     #[test]
     fn header_is_aligned_and_says_the_shape() {
-        for (shape, text) in [
-            (&[2, 3][..], "(2, 3)"),
-            (&[5][..], "(5,)"),
-            (&[][..], "()"),
-            (&[0, 7][..], "(0, 7)"),
-        ] {
+        for (shape, text) in
+            [(&[2, 3][..], "(2, 3)"), (&[5][..], "(5,)"), (&[][..], "()"), (&[0, 7][..], "(0, 7)")]
+        {
             let bytes = header(Scalar::F32, shape);
             assert_eq!(bytes.len() % 64, 0);
             let said = String::from_utf8_lossy(&bytes[10..]);

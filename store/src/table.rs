@@ -71,8 +71,7 @@ impl ConeColumns {
     /// The corners of one cone's polygon; empty when there is no such cone.
     pub fn polygon_of(&self, cone: usize) -> &[f32] {
         let ends = self.polygon_start.get(cone).zip(self.polygon_start.get(cone + 1));
-        ends.and_then(|(&a, &b)| self.polygon.get(a as usize..b as usize))
-            .unwrap_or(&[])
+        ends.and_then(|(&a, &b)| self.polygon.get(a as usize..b as usize)).unwrap_or(&[])
     }
 
     /// Adds the rows of another table below.
@@ -90,8 +89,7 @@ impl ConeColumns {
             self.polygon_start.push(0);
         }
         let base = self.polygon.len() as u32;
-        self.polygon_start
-            .extend(other.polygon_start.iter().skip(1).map(|start| base + start));
+        self.polygon_start.extend(other.polygon_start.iter().skip(1).map(|start| base + start));
         self.polygon.extend(&other.polygon);
     }
 }
@@ -147,25 +145,14 @@ pub struct Chunk {
 /// # Errors
 /// When the columns differ in length.
 pub fn cones_file(cones: &ConeColumns) -> Result<Vec<u8>, TableError> {
-    let starts = if cones.polygon_start.is_empty() {
-        &[0][..]
-    } else {
-        &cones.polygon_start
-    };
+    let starts = if cones.polygon_start.is_empty() { &[0][..] } else { &cones.polygon_start };
     let ordered = starts.is_sorted() && starts.first() == Some(&0);
     if !ordered
-        || starts
-            .last()
-            .is_some_and(|&end| end as usize > cones.polygon.len() || end > i32::MAX as u32)
+        || starts.last().is_some_and(|&end| end as usize > cones.polygon.len() || end > i32::MAX as u32)
     {
         return Err(TableError::Shape("polygon_start does not fit polygon".into()));
     }
-    let offsets = OffsetBuffer::new(
-        starts
-            .iter()
-            .map(|&start| start as i32)
-            .collect::<ScalarBuffer<i32>>(),
-    );
+    let offsets = OffsetBuffer::new(starts.iter().map(|&start| start as i32).collect::<ScalarBuffer<i32>>());
     let corner = Arc::new(Field::new("item", DataType::Float32, false));
     let corners = Arc::new(Float32Array::from(cones.polygon.clone()));
     let f64s = |values: &[f64]| -> ArrayRef { Arc::new(Float64Array::from(values.to_vec())) };
@@ -178,14 +165,8 @@ pub fn cones_file(cones: &ConeColumns) -> Result<Vec<u8>, TableError> {
         ("ecc_deg", f64s(&cones.ecc_deg)),
         ("meridian_deg", f64s(&cones.meridian_deg)),
         ("type", Arc::new(UInt8Array::from(cones.kind.clone()))),
-        (
-            "aperture_um2",
-            Arc::new(Float32Array::from(cones.aperture_um2.clone())),
-        ),
-        (
-            "polygon",
-            Arc::new(ListArray::try_new(corner, offsets, corners, None)?),
-        ),
+        ("aperture_um2", Arc::new(Float32Array::from(cones.aperture_um2.clone()))),
+        ("polygon", Arc::new(ListArray::try_new(corner, offsets, corners, None)?)),
     ];
     let batch =
         RecordBatch::try_from_iter_with_nullable(columns.into_iter().map(|(name, a)| (name, a, false)))?;
@@ -213,13 +194,8 @@ fn cones_of_batch(batch: &RecordBatch) -> Result<ConeColumns, TableError> {
         let column = column(batch, name)?.as_primitive_opt::<Float64Type>();
         Ok(column.ok_or_else(|| wrong_type(name))?.values().to_vec())
     };
-    let list = column(batch, "polygon")?
-        .as_list_opt::<i32>()
-        .ok_or_else(|| wrong_type("polygon"))?;
-    let values = list
-        .values()
-        .as_primitive_opt::<Float32Type>()
-        .ok_or_else(|| wrong_type("polygon"))?;
+    let list = column(batch, "polygon")?.as_list_opt::<i32>().ok_or_else(|| wrong_type("polygon"))?;
+    let values = list.values().as_primitive_opt::<Float32Type>().ok_or_else(|| wrong_type("polygon"))?;
     let (first, last) = (list.value_offsets()[0], list.value_offsets()[list.len()]);
     Ok(ConeColumns {
         id: column(batch, "id")?
@@ -243,11 +219,7 @@ fn cones_of_batch(batch: &RecordBatch) -> Result<ConeColumns, TableError> {
             .ok_or_else(|| wrong_type("aperture_um2"))?
             .values()
             .to_vec(),
-        polygon_start: list
-            .value_offsets()
-            .iter()
-            .map(|&start| (start - first) as u32)
-            .collect(),
+        polygon_start: list.value_offsets().iter().map(|&start| (start - first) as u32).collect(),
         polygon: values.values()[first as usize..last as usize].to_vec(),
     })
 }
@@ -295,15 +267,13 @@ pub fn read_counts(bytes: &[u8]) -> Result<Chunk, TableError> {
             let column = column(&batch, "count")?;
             match &mut counts {
                 CountsVec::U32(all) => {
-                    let values = column
-                        .as_primitive_opt::<UInt32Type>()
-                        .ok_or_else(|| wrong_type("count"))?;
+                    let values =
+                        column.as_primitive_opt::<UInt32Type>().ok_or_else(|| wrong_type("count"))?;
                     all.extend(values.values());
                 }
                 CountsVec::F32(all) => {
-                    let values = column
-                        .as_primitive_opt::<Float32Type>()
-                        .ok_or_else(|| wrong_type("count"))?;
+                    let values =
+                        column.as_primitive_opt::<Float32Type>().ok_or_else(|| wrong_type("count"))?;
                     all.extend(values.values());
                 }
             }
@@ -333,11 +303,7 @@ impl CountsTable {
     /// # Errors
     /// When Arrow cannot write.
     pub fn new(means: bool) -> Result<Self, TableError> {
-        let count = if means {
-            DataType::Float32
-        } else {
-            DataType::UInt32
-        };
+        let count = if means { DataType::Float32 } else { DataType::UInt32 };
         let schema = Arc::new(Schema::new(vec![
             Field::new("frame", DataType::UInt32, false),
             Field::new("tile", DataType::UInt32, false),
@@ -365,8 +331,7 @@ impl CountsTable {
             Arc::new(rows),
             counts,
         ];
-        self.writer
-            .write(&RecordBatch::try_new(Arc::clone(&self.schema), columns)?)?;
+        self.writer.write(&RecordBatch::try_new(Arc::clone(&self.schema), columns)?)?;
         Ok(std::mem::take(self.writer.get_mut()))
     }
 
@@ -381,9 +346,8 @@ impl CountsTable {
 }
 
 fn column<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a ArrayRef, TableError> {
-    let column = batch
-        .column_by_name(name)
-        .ok_or_else(|| TableError::Shape(format!("no column `{name}`")))?;
+    let column =
+        batch.column_by_name(name).ok_or_else(|| TableError::Shape(format!("no column `{name}`")))?;
     if column.null_count() > 0 {
         return Err(TableError::Shape(format!("column `{name}` has missing values")));
     }

@@ -46,11 +46,7 @@ fn cones_come_back() {
 
 #[test]
 fn counts_come_back() {
-    for counts in [
-        Counts::U32(&[0, 1, u32::MAX]),
-        Counts::F32(&[0.5, 1e-12]),
-        Counts::U32(&[]),
-    ] {
+    for counts in [Counts::U32(&[0, 1, u32::MAX]), Counts::F32(&[0.5, 1e-12]), Counts::U32(&[])] {
         let chunk = read_counts(&counts_stream(3, 4, 1 << 40, counts).unwrap()).unwrap();
         assert_eq!((chunk.frame, chunk.tile, chunk.first_cone), (3, 4, 1 << 40));
         match (counts, chunk.counts) {
@@ -74,35 +70,14 @@ fn many_chunks_are_one_stream() {
     let mut bytes = Vec::new();
     for frame in 0..3 {
         let counts = CountsVec::U32(vec![frame, 7]);
-        bytes.extend(
-            table
-                .push(&Chunk {
-                    frame,
-                    tile: 0,
-                    first_cone: 10,
-                    counts,
-                })
-                .unwrap(),
-        );
+        bytes.extend(table.push(&Chunk { frame, tile: 0, first_cone: 10, counts }).unwrap());
     }
     bytes.extend(table.finish().unwrap());
     let batches: Vec<_> = StreamReader::try_new(Cursor::new(bytes), None).unwrap().collect();
     assert_eq!(batches.len(), 3);
     let last = batches[2].as_ref().unwrap();
-    assert_eq!(
-        last.column_by_name("cone")
-            .unwrap()
-            .as_primitive::<UInt64Type>()
-            .values(),
-        &[10, 11]
-    );
-    assert_eq!(
-        last.column_by_name("count")
-            .unwrap()
-            .as_primitive::<UInt32Type>()
-            .values(),
-        &[2, 7]
-    );
+    assert_eq!(last.column_by_name("cone").unwrap().as_primitive::<UInt64Type>().values(), &[10, 11]);
+    assert_eq!(last.column_by_name("count").unwrap().as_primitive::<UInt32Type>().values(), &[2, 7]);
 }
 
 proptest! {

@@ -37,22 +37,16 @@ impl Blobs for Door {
             }
         }
         let digest = upload.finish().await?;
-        Ok(Response::new(v1::PutBlobReply {
-            digest: Some(digest.to_string()),
-        }))
+        Ok(Response::new(v1::PutBlobReply { digest: Some(digest.to_string()) }))
     }
 
     type GetStream = Pin<Box<dyn Stream<Item = Result<v1::GetBlobReply, Status>> + Send>>;
 
     async fn get(&self, request: Request<v1::GetBlobRequest>) -> Result<Response<Self::GetStream>, Status> {
         let digest: BlobDigest =
-            request
-                .get_ref()
-                .digest()
-                .parse()
-                .map_err(|error: photoneye_store::digest::NotADigest| {
-                    Status::invalid_argument(format!("digest: {error}"))
-                })?;
+            request.get_ref().digest().parse().map_err(|error: photoneye_store::digest::NotADigest| {
+                Status::invalid_argument(format!("digest: {error}"))
+            })?;
         let reader: Box<dyn Read + Send> = self.0.with_blobs(move |blobs| blobs.open(&digest)).await?;
         let pieces = crate::transfer::pieces(reader).map(|piece| {
             let bytes = Some(piece.map_err(|error| Status::unavailable(error.to_string()))?);

@@ -40,9 +40,7 @@ impl Experiments for Door {
 
     async fn list_jobs(&self, request: Request<v1::ListJobsRequest>) -> Answer<v1::ListJobsReply> {
         let request = request.into_inner();
-        Ok(Response::new(
-            self.0.list(request.page.as_deref(), request.page_size).await?,
-        ))
+        Ok(Response::new(self.0.list(request.page.as_deref(), request.page_size).await?))
     }
 
     async fn cancel_job(&self, request: Request<v1::JobRequest>) -> Answer<v1::Job> {
@@ -54,9 +52,7 @@ impl Experiments for Door {
     async fn watch_job(&self, request: Request<v1::WatchJobRequest>) -> Answer<Self::WatchJobStream> {
         let request = request.into_inner();
         let after = request.after();
-        let events = Arc::clone(&self.0)
-            .watch(needed("id", request.id)?, after)
-            .await?;
+        let events = Arc::clone(&self.0).watch(needed("id", request.id)?, after).await?;
         Ok(Response::new(Box::pin(events.map(Ok))))
     }
 
@@ -68,12 +64,8 @@ impl Experiments for Door {
     ) -> Answer<Self::StreamResultsStream> {
         let request = request.into_inner();
         let from = request.from.unwrap_or(1);
-        let chunks = Arc::clone(&self.0)
-            .chunks(needed("id", request.id)?, from)
-            .await?;
-        Ok(Response::new(Box::pin(
-            chunks.map(|chunk| chunk.map_err(Status::from)),
-        )))
+        let chunks = Arc::clone(&self.0).chunks(needed("id", request.id)?, from).await?;
+        Ok(Response::new(Box::pin(chunks.map(|chunk| chunk.map_err(Status::from)))))
     }
 
     async fn get_report(&self, request: Request<v1::JobRequest>) -> Answer<v1::Report> {

@@ -34,9 +34,7 @@ pub async fn routes(service: &Arc<Service>) -> Result<Router, tonic_reflection::
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
     let (health, health_service) = tonic_health::server::health_reporter();
-    health
-        .set_service_status("photoneye.v1.Experiments", tonic_health::ServingStatus::Serving)
-        .await;
+    health.set_service_status("photoneye.v1.Experiments", tonic_health::ServingStatus::Serving).await;
     let experiments = experiments::Door(Arc::clone(service));
     let mut routes = Routes::builder();
     routes

@@ -32,12 +32,8 @@ impl Workers for Door {
         let holds = request.holds.iter().cloned().collect();
         loop {
             let wait = until.saturating_duration_since(tokio::time::Instant::now());
-            let leased = self
-                .0
-                .machine
-                .lease(request.worker(), local, &holds, wait)
-                .await
-                .map_err(Error::from)?;
+            let leased =
+                self.0.machine.lease(request.worker(), local, &holds, wait).await.map_err(Error::from)?;
             let Some((id, fence)) = leased else {
                 return Ok(Response::new(v1::LeaseReply {
                     work: Some(Work::Nothing(Nothing {})),
@@ -85,15 +81,7 @@ impl Workers for Door {
                     let digest = self.stored("shard.chunks.digest", chunk.digest()).await?;
                     let frame = needed("shard.chunks.frame", chunk.frame)?;
                     let (sum, sum_squares, cones) = (chunk.sum, chunk.sum_squares, chunk.cones);
-                    chunks.push((
-                        frame,
-                        digest,
-                        Summary {
-                            sum,
-                            sum_squares,
-                            cones,
-                        },
-                    ));
+                    chunks.push((frame, digest, Summary { sum, sum_squares, cones }));
                 }
                 Commit::Shard(chunks)
             }
@@ -104,18 +92,12 @@ impl Workers for Door {
             commit,
             report_json: request.report_json,
         };
-        Ok(Response::new(v1::CommitReply {
-            accepted: Some(self.held(command).await?),
-        }))
+        Ok(Response::new(v1::CommitReply { accepted: Some(self.held(command).await?) }))
     }
 
     async fn fail(&self, request: Request<v1::FailRequest>) -> Result<Response<v1::FailReply>, Status> {
         let request = request.into_inner();
-        tracing::warn!(
-            work = request.id(),
-            message = request.message(),
-            "a computation failed"
-        );
+        tracing::warn!(work = request.id(), message = request.message(), "a computation failed");
         let accepted = self
             .held(Command::Fail {
                 id: work_id(request.id())?,
@@ -124,9 +106,7 @@ impl Workers for Door {
                 deterministic: request.deterministic(),
             })
             .await?;
-        Ok(Response::new(v1::FailReply {
-            accepted: Some(accepted),
-        }))
+        Ok(Response::new(v1::FailReply { accepted: Some(accepted) }))
     }
 }
 
@@ -142,19 +122,13 @@ impl Door {
 
     /// A digest whose bytes are in the store: a commit without them would promise what is not there.
     async fn stored(&self, field: &str, text: &str) -> Result<BlobDigest, Status> {
-        let digest: BlobDigest = text
-            .parse()
-            .map_err(|error: photoneye_store::digest::NotADigest| {
-                Status::invalid_argument(format!("{field}: {error}"))
-            })?;
+        let digest: BlobDigest = text.parse().map_err(|error: photoneye_store::digest::NotADigest| {
+            Status::invalid_argument(format!("{field}: {error}"))
+        })?;
         if self.0.with_blobs(move |blobs| blobs.has(&digest)).await? {
             Ok(digest)
         } else {
-            Err(Error::new(
-                Kind::NotReady,
-                format!("{field}: no blob {digest}; upload it first"),
-            )
-            .into())
+            Err(Error::new(Kind::NotReady, format!("{field}: no blob {digest}; upload it first")).into())
         }
     }
 
@@ -168,9 +142,7 @@ impl Door {
             WorkId::Shard(job, number) => {
                 let tile = |state: &State| {
                     let job = state.jobs.get(job)?;
-                    job.tiles
-                        .get(job.shards.get(*number as usize)?.tile as usize)
-                        .cloned()
+                    job.tiles.get(job.shards.get(*number as usize)?.tile as usize).cloned()
                 };
                 self.0.machine.read(tile).await.unwrap_or_default()
             }
@@ -178,10 +150,7 @@ impl Door {
         let mut references = Vec::new();
         for key in keys {
             let find = |state: &State| {
-                state
-                    .artifacts
-                    .get(&key)
-                    .map(|artifact| (artifact.kind.clone(), artifact.digest))
+                state.artifacts.get(&key).map(|artifact| (artifact.kind.clone(), artifact.digest))
             };
             let (kind, digest) = self.0.machine.read(find).await.unwrap_or_default();
             let there = match digest {
@@ -190,11 +159,7 @@ impl Door {
             };
             let Some(digest) = digest.filter(|_| there) else {
                 tracing::warn!(key, kind, "an artifact is gone and will be built again");
-                self.0
-                    .machine
-                    .execute(Command::LostArtifact(key))
-                    .await
-                    .map_err(Error::from)?;
+                self.0.machine.execute(Command::LostArtifact(key)).await.map_err(Error::from)?;
                 return Ok(None);
             };
             references.push(v1::ArtifactRef {
@@ -210,32 +175,15 @@ impl Door {
     }
 
     async fn build(&self, key: &str, inputs: Vec<v1::ArtifactRef>) -> Result<Work, Status> {
-        let kind = self
-            .0
-            .machine
-            .read(|state| state.artifacts.get(key).map(|artifact| artifact.kind.clone()))
-            .await;
-        let spec_json = self
-            .0
-            .machine
-            .document(&format!("artifact/{key}"))
-            .await
-            .map_err(Error::from)?;
-        Ok(Work::Build(v1::Build {
-            key: Some(key.to_owned()),
-            kind,
-            spec_json,
-            inputs,
-        }))
+        let kind =
+            self.0.machine.read(|state| state.artifacts.get(key).map(|artifact| artifact.kind.clone())).await;
+        let spec_json = self.0.machine.document(&format!("artifact/{key}")).await.map_err(Error::from)?;
+        Ok(Work::Build(v1::Build { key: Some(key.to_owned()), kind, spec_json, inputs }))
     }
 
     async fn shard(&self, id: &str, number: u32, artifacts: Vec<v1::ArtifactRef>) -> Result<Work, Status> {
-        let experiment_json = self
-            .0
-            .machine
-            .document(&format!("experiment/{id}"))
-            .await
-            .map_err(Error::from)?;
+        let experiment_json =
+            self.0.machine.document(&format!("experiment/{id}")).await.map_err(Error::from)?;
         let work = self
             .0
             .look(id, |state, job| {
@@ -252,13 +200,10 @@ impl Door {
                 })
             })
             .await?;
-        Ok(Work::Shard(
-            work.ok_or_else(|| Status::internal("a leased shard is gone"))?,
-        ))
+        Ok(Work::Shard(work.ok_or_else(|| Status::internal("a leased shard is gone"))?))
     }
 }
 
 fn work_id(text: &str) -> Result<WorkId, Status> {
-    text.parse()
-        .map_err(|error: String| Status::invalid_argument(format!("id: {error}")))
+    text.parse().map_err(|error: String| Status::invalid_argument(format!("id: {error}")))
 }

@@ -31,13 +31,7 @@ pub enum Phase {
 
 impl Phase {
     /// All, in the order of their numbers in the database.
-    pub const ALL: [Self; 5] = [
-        Self::Open,
-        Self::Leased,
-        Self::Done,
-        Self::Failed,
-        Self::Cancelled,
-    ];
+    pub const ALL: [Self; 5] = [Self::Open, Self::Leased, Self::Done, Self::Failed, Self::Cancelled];
 }
 
 /// The lease of one piece of work.

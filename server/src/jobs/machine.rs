@@ -23,11 +23,7 @@ pub struct Machine {
 impl Machine {
     /// A machine over a store.
     pub fn new(store: impl JobStore + 'static, clock: Clock) -> Self {
-        Self {
-            store: Arc::new(Mutex::new(Box::new(store))),
-            changed: Arc::new(watch::Sender::new(0)),
-            clock,
-        }
+        Self { store: Arc::new(Mutex::new(Box::new(store))), changed: Arc::new(watch::Sender::new(0)), clock }
     }
 
     /// Carries out a command.
@@ -87,11 +83,7 @@ impl Machine {
         let mut changes = self.changes();
         loop {
             changes.mark_unchanged();
-            let command = Command::Lease {
-                worker: worker.to_owned(),
-                local,
-                holds: holds.clone(),
-            };
+            let command = Command::Lease { worker: worker.to_owned(), local, holds: holds.clone() };
             if let Reply::Leased(Some(work)) = self.execute(command).await? {
                 return Ok(Some(work));
             }
@@ -124,13 +116,8 @@ pub struct Clock {
 impl Clock {
     /// A clock that is right now.
     pub fn new() -> Self {
-        let now = SystemTime::now()
-            .duration_since(SystemTime::UNIX_EPOCH)
-            .unwrap_or_default();
-        Self {
-            base_ms: now.as_millis() as u64,
-            start: Instant::now(),
-        }
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        Self { base_ms: now.as_millis() as u64, start: Instant::now() }
     }
 
     /// The time.

@@ -20,10 +20,7 @@ pub struct MemoryStore {
 impl MemoryStore {
     /// A store that begins with a state.
     pub fn of(state: State) -> Self {
-        Self {
-            state,
-            documents: BTreeMap::new(),
-        }
+        Self { state, documents: BTreeMap::new() }
     }
 }
 

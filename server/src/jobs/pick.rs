@@ -21,19 +21,12 @@ pub fn pick(state: &State, holds: &BTreeSet<String>) -> Option<WorkId> {
 pub fn needed(state: &State, job: &Job) -> BTreeSet<String> {
     let mut wanted = BTreeSet::new();
     let tiles = job.open.iter().filter(|(_, shards)| !shards.is_empty());
-    for key in tiles
-        .filter_map(|(tile, _)| job.tiles.get(*tile as usize))
-        .flatten()
-    {
+    for key in tiles.filter_map(|(tile, _)| job.tiles.get(*tile as usize)).flatten() {
         want(state, key, &mut wanted);
     }
     // A tile's place in the cone table follows from the cones of the tiles before it.
     for key in job.tiles.iter().filter_map(|tile| tile.first()) {
-        if state
-            .artifacts
-            .get(key)
-            .is_some_and(|artifact| artifact.cones.is_none())
-        {
+        if state.artifacts.get(key).is_some_and(|artifact| artifact.cones.is_none()) {
             want(state, key, &mut wanted);
         }
     }
@@ -56,12 +49,9 @@ fn want(state: &State, key: &str, wanted: &mut BTreeSet<String>) {
 
 /// The first of the wanted artifacts that can be built now.
 fn build(state: &State, wanted: &BTreeSet<String>) -> Option<WorkId> {
-    let open = wanted
-        .iter()
-        .filter_map(|key| state.artifacts.get(key))
-        .find(|artifact| {
-            artifact.lease.phase == Phase::Open && artifact.inputs.iter().all(|input| state.ready(input))
-        });
+    let open = wanted.iter().filter_map(|key| state.artifacts.get(key)).find(|artifact| {
+        artifact.lease.phase == Phase::Open && artifact.inputs.iter().all(|input| state.ready(input))
+    });
     open.map(|artifact| WorkId::Build(artifact.key.clone()))
 }
 

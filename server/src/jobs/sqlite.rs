@@ -60,12 +60,7 @@ impl SqliteStore {
             .min_connections(0)
             .connect_lazy_with(options.create_if_missing(false).read_only(true));
         let state = load(&mut writer, now_ms).await?;
-        Ok(Self {
-            state,
-            writer,
-            readers,
-            unsaved: false,
-        })
+        Ok(Self { state, writer, readers, unsaved: false })
     }
 
     async fn save(&mut self, effects: &Effects) -> Result<(), StoreError> {
@@ -113,13 +108,7 @@ impl JobStore for SqliteStore {
 
 fn migrator() -> Migrator {
     let steps = MIGRATIONS.map(|(version, name, text)| {
-        Migration::new(
-            version,
-            name.into(),
-            MigrationType::Simple,
-            text.into_sql_str(),
-            false,
-        )
+        Migration::new(version, name.into(), MigrationType::Simple, text.into_sql_str(), false)
     });
     Migrator::with_migrations(steps.into())
 }
@@ -281,14 +270,8 @@ async fn load(db: &mut SqliteConnection, now_ms: u64) -> Result<State, StoreErro
         let job = job_from(&row)?;
         state.jobs.insert(job.id.clone(), job);
     }
-    for row in sqlx::query("SELECT * FROM shards ORDER BY job, number")
-        .fetch_all(&mut *db)
-        .await?
-    {
-        let job = state
-            .jobs
-            .get_mut(row.try_get::<&str, _>("job")?)
-            .ok_or_else(|| gone("job"))?;
+    for row in sqlx::query("SELECT * FROM shards ORDER BY job, number").fetch_all(&mut *db).await? {
+        let job = state.jobs.get_mut(row.try_get::<&str, _>("job")?).ok_or_else(|| gone("job"))?;
         job.shards.push(Shard {
             first_frame: row.try_get("first_frame")?,
             frame_count: row.try_get("frame_count")?,
@@ -297,10 +280,7 @@ async fn load(db: &mut SqliteConnection, now_ms: u64) -> Result<State, StoreErro
         });
     }
     for row in sqlx::query("SELECT * FROM chunks").fetch_all(&mut *db).await? {
-        let job = state
-            .jobs
-            .get_mut(row.try_get::<&str, _>("job")?)
-            .ok_or_else(|| gone("job"))?;
+        let job = state.jobs.get_mut(row.try_get::<&str, _>("job")?).ok_or_else(|| gone("job"))?;
         let chunk = Chunk {
             seq: unsigned(&row, "seq")?,
             digest: digest_from(row.try_get("digest")?)?,
@@ -308,17 +288,14 @@ async fn load(db: &mut SqliteConnection, now_ms: u64) -> Result<State, StoreErro
             cones: unsigned(&row, "cones")?,
             summary: from_json(&row, "summary")?,
         };
-        job.chunks
-            .insert((row.try_get("frame")?, row.try_get("tile")?), chunk);
+        job.chunks.insert((row.try_get("frame")?, row.try_get("tile")?), chunk);
     }
     for row in sqlx::query("SELECT * FROM artifacts").fetch_all(&mut *db).await? {
         let artifact = artifact_from(&row)?;
         state.artifacts.insert(artifact.key.clone(), artifact);
     }
     for row in sqlx::query("SELECT * FROM requests").fetch_all(&mut *db).await? {
-        state
-            .requests
-            .insert(row.try_get("id")?, (row.try_get("job")?, row.try_get("body")?));
+        state.requests.insert(row.try_get("id")?, (row.try_get("job")?, row.try_get("body")?));
     }
     state.index(now_ms);
     Ok(state)

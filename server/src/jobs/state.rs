@@ -29,13 +29,7 @@ pub enum JobState {
 
 impl JobState {
     /// All, in the order of their numbers in the schema.
-    pub const ALL: [Self; 5] = [
-        Self::Queued,
-        Self::Running,
-        Self::Succeeded,
-        Self::Failed,
-        Self::Cancelled,
-    ];
+    pub const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
 
     /// Whether work may still be done.
     pub fn active(self) -> bool {
@@ -242,25 +236,12 @@ impl State {
 
     /// Rebuilds what is not stored. Workers of an earlier process of this server are gone; the others get a whole term.
     pub fn index(&mut self, now_ms: u64) {
-        self.active = self
-            .jobs
-            .values()
-            .filter(|job| job.state.active())
-            .map(|job| job.id.clone())
-            .collect();
+        self.active = self.jobs.values().filter(|job| job.state.active()).map(|job| job.id.clone()).collect();
         for job in self.jobs.values_mut() {
-            let mut order: Vec<_> = job
-                .chunks
-                .iter()
-                .map(|(place, chunk)| (chunk.seq, *place))
-                .collect();
+            let mut order: Vec<_> = job.chunks.iter().map(|(place, chunk)| (chunk.seq, *place)).collect();
             order.sort_unstable();
             job.order = order.into_iter().map(|(_, place)| place).collect();
-            job.left = job
-                .shards
-                .iter()
-                .filter(|shard| shard.lease.phase != Phase::Done)
-                .count();
+            job.left = job.shards.iter().filter(|shard| shard.lease.phase != Phase::Done).count();
         }
         let builds = self.artifacts.keys().map(|key| WorkId::Build(key.clone()));
         let shards = self
@@ -269,11 +250,7 @@ impl State {
             .flat_map(|job| (0..job.shards.len()).map(|number| WorkId::Shard(job.id.clone(), number as u32)));
         for id in builds.chain(shards).collect::<Vec<_>>() {
             self.change(&id, |lease| {
-                lease.expires_ms = if lease.local {
-                    0
-                } else {
-                    now_ms + super::lease::TTL_MS
-                };
+                lease.expires_ms = if lease.local { 0 } else { now_ms + super::lease::TTL_MS };
             });
         }
     }
@@ -284,10 +261,8 @@ impl State {
         let mut next = 0;
         for tile in &job.tiles {
             firsts.push(next);
-            let cones = tile
-                .first()
-                .and_then(|key| self.artifacts.get(key))
-                .and_then(|artifact| artifact.cones);
+            let cones =
+                tile.first().and_then(|key| self.artifacts.get(key)).and_then(|artifact| artifact.cones);
             let Some(cones) = cones else {
                 return (firsts, None);
             };
@@ -298,19 +273,14 @@ impl State {
 
     /// Active jobs that need an artifact.
     pub fn users_of(&self, key: &str) -> Vec<String> {
-        let uses = |id: &&String| {
-            self.jobs
-                .get(*id)
-                .is_some_and(|job| job.artifacts.iter().any(|k| k == key))
-        };
+        let uses =
+            |id: &&String| self.jobs.get(*id).is_some_and(|job| job.artifacts.iter().any(|k| k == key));
         self.active.iter().filter(uses).cloned().collect()
     }
 
     /// Whether an artifact's bytes are there.
     pub fn ready(&self, key: &str) -> bool {
-        self.artifacts
-            .get(key)
-            .is_some_and(|artifact| artifact.lease.phase == Phase::Done)
+        self.artifacts.get(key).is_some_and(|artifact| artifact.lease.phase == Phase::Done)
     }
 }
 

@@ -11,31 +11,14 @@ use super::state::{Artifact, Chunk, Job, JobState, Shard, State, Summary, WorkId
 
 /// Carries out a command at a time (ms since 1970).
 pub fn step(state: &mut State, command: Command, now_ms: u64) -> Effects {
-    let mut step = Step {
-        state,
-        now_ms,
-        rows: BTreeSet::new(),
-        documents: Vec::new(),
-    };
+    let mut step = Step { state, now_ms, rows: BTreeSet::new(), documents: Vec::new() };
     let reply = match command {
         Command::Create(job) => step.create(*job),
         Command::Lease { worker, local, holds } => Reply::Leased(step.lease(&worker, local, &holds)),
         Command::Beat { id, fence, stage } => Reply::Held(step.beat(&id, fence, stage)),
-        Command::Commit {
-            id,
-            fence,
-            commit,
-            report_json,
-        } => step.commit(&id, fence, commit, report_json),
-        Command::Fail {
-            id,
-            fence,
-            message,
-            deterministic,
-        } => {
-            let verdict = step
-                .change(&id, |lease| lease.fail(fence, deterministic))
-                .flatten();
+        Command::Commit { id, fence, commit, report_json } => step.commit(&id, fence, commit, report_json),
+        Command::Fail { id, fence, message, deterministic } => {
+            let verdict = step.change(&id, |lease| lease.fail(fence, deterministic)).flatten();
             if verdict == Some(Verdict::GivenUp) {
                 step.give_up(&id, &message);
             }
@@ -53,11 +36,7 @@ pub fn step(state: &mut State, command: Command, now_ms: u64) -> Effects {
         Command::LostArtifact(key) => step.lost_artifact(key),
         Command::LostChunk(job, frame, tile) => step.lost_chunk(&job, frame, tile),
     };
-    Effects {
-        reply,
-        rows: step.rows,
-        documents: step.documents,
-    }
+    Effects { reply, rows: step.rows, documents: step.documents }
 }
 
 struct Step<'a> {
@@ -93,22 +72,15 @@ impl Step<'_> {
                 Some(_) => return Reply::OtherBody,
                 None => {}
             }
-            self.state
-                .requests
-                .insert(request.clone(), (new.id.clone(), body.clone()));
+            self.state.requests.insert(request.clone(), (new.id.clone(), body.clone()));
             self.rows.insert(Row::Request(request.clone()));
         }
-        let keys = new
-            .artifacts
-            .iter()
-            .map(|artifact| artifact.key.clone())
-            .collect();
+        let keys = new.artifacts.iter().map(|artifact| artifact.key.clone()).collect();
         for artifact in new.artifacts {
             self.add_artifact(artifact);
         }
         let id = new.id;
-        self.documents
-            .push((format!("experiment/{id}"), new.experiment_json));
+        self.documents.push((format!("experiment/{id}"), new.experiment_json));
         self.documents.push((format!("plan/{id}"), new.plan_json));
         let shards = new.shards.iter().map(|&(first_frame, frame_count, tile)| Shard {
             first_frame,
@@ -155,8 +127,7 @@ impl Step<'_> {
             }
             Some(Phase::Open | Phase::Leased | Phase::Done) => {}
             None => {
-                self.documents
-                    .push((format!("artifact/{}", new.key), new.spec_json));
+                self.documents.push((format!("artifact/{}", new.key), new.spec_json));
                 self.rows.insert(Row::Artifact(new.key.clone()));
                 let artifact = Artifact {
                     key: new.key.clone(),
@@ -173,15 +144,10 @@ impl Step<'_> {
     fn lease(&mut self, worker: &str, local: bool, holds: &BTreeSet<String>) -> Option<(WorkId, u64)> {
         let id = pick(self.state, holds)?;
         let now_ms = self.now_ms;
-        let fence = self
-            .change(&id, |lease| lease.take(worker, local, now_ms))
-            .flatten()?;
+        let fence = self.change(&id, |lease| lease.take(worker, local, now_ms)).flatten()?;
         let (payers, cost) = match &id {
             WorkId::Shard(job, _) => (vec![job.clone()], self.state.jobs.get(job)?.shard_us),
-            WorkId::Build(key) => (
-                self.state.users_of(key),
-                self.state.artifacts.get(key)?.predicted_us,
-            ),
+            WorkId::Build(key) => (self.state.users_of(key), self.state.artifacts.get(key)?.predicted_us),
         };
         let share = cost / (payers.len() as u64).max(1);
         for job in payers {
@@ -196,10 +162,7 @@ impl Step<'_> {
     /// A heartbeat changes nothing that a restart would need.
     fn beat(&mut self, id: &WorkId, fence: u64, stage: String) -> bool {
         let now_ms = self.now_ms;
-        let held = self
-            .state
-            .change(id, |lease| lease.beat(fence, now_ms))
-            .unwrap_or(false);
+        let held = self.state.change(id, |lease| lease.beat(fence, now_ms)).unwrap_or(false);
         if held && !stage.is_empty() {
             let jobs = match id {
                 WorkId::Shard(job, _) => vec![job.clone()],
@@ -267,20 +230,11 @@ impl Step<'_> {
         let tile = shard.tile;
         let frames = shard.first_frame..shard.first_frame + shard.frame_count;
         if !chunks.iter().map(|chunk| chunk.0).eq(frames.clone()) {
-            return Err(format!(
-                "the shard's frames are {frames:?}, in this order, a chunk each"
-            ));
+            return Err(format!("the shard's frames are {frames:?}, in this order, a chunk each"));
         }
-        let first_cone = *self
-            .state
-            .first_cones(job)
-            .0
-            .get(tile as usize)
-            .ok_or("no such tile")?;
+        let first_cone = *self.state.first_cones(job).0.get(tile as usize).ok_or("no such tile")?;
         let cones = job.tiles.get(tile as usize).and_then(|tile| tile.first());
-        let cones = cones
-            .and_then(|key| self.state.artifacts.get(key)?.cones)
-            .unwrap_or(0);
+        let cones = cones.and_then(|key| self.state.artifacts.get(key)?.cones).unwrap_or(0);
         let job = self.state.jobs.get_mut(job_id).ok_or("no such job")?;
         for (frame, digest, summary) in chunks {
             let next = job.chunks.len() as u64 + 1;
@@ -292,16 +246,7 @@ impl Step<'_> {
             if seq == next {
                 job.order.push((frame, tile));
             }
-            job.chunks.insert(
-                (frame, tile),
-                Chunk {
-                    seq,
-                    digest,
-                    first_cone,
-                    cones,
-                    summary,
-                },
-            );
+            job.chunks.insert((frame, tile), Chunk { seq, digest, first_cone, cones, summary });
             self.rows.insert(Row::Chunk(job_id.to_owned(), frame, tile));
         }
         Ok(())
@@ -326,11 +271,7 @@ impl Step<'_> {
     fn give_up(&mut self, id: &WorkId, message: &str) {
         let (jobs, what) = match id {
             WorkId::Build(key) => {
-                let kind = self
-                    .state
-                    .artifacts
-                    .get(key)
-                    .map_or("artifact", |artifact| &artifact.kind);
+                let kind = self.state.artifacts.get(key).map_or("artifact", |artifact| &artifact.kind);
                 (self.state.users_of(key), format!("building {kind}: {message}"))
             }
             WorkId::Shard(job, _) => (vec![job.clone()], format!("computing counts: {message}")),
@@ -380,11 +321,7 @@ impl Step<'_> {
 
     fn reap(&mut self) -> Reply {
         let now_ms = self.now_ms;
-        let over = |id: &&WorkId| {
-            self.state
-                .lease(id)
-                .is_some_and(|lease| lease.expires_ms <= now_ms)
-        };
+        let over = |id: &&WorkId| self.state.lease(id).is_some_and(|lease| lease.expires_ms <= now_ms);
         let expired: Vec<WorkId> = self.state.leased.iter().filter(over).cloned().collect();
         for id in expired {
             // A job that ended meanwhile may have taken it away.

@@ -18,9 +18,7 @@ pub(super) async fn put(
     headers: HeaderMap,
     body: Body,
 ) -> Result<(StatusCode, Json<v1::PutBlobReply>), Error> {
-    let length = headers
-        .get(header::CONTENT_LENGTH)
-        .and_then(|length| length.to_str().ok()?.parse().ok());
+    let length = headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse().ok());
     let mut upload = Upload::begin(&service, length).await?;
     let mut stream = body.into_data_stream();
     while let Some(piece) = stream.next().await {

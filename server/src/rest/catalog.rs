@@ -34,18 +34,13 @@ pub(super) async fn spectra() -> Json<Value> {
     let columns = catalog::names("spectra").into_iter().flat_map(|table| {
         let text = catalog::text("spectra", table).unwrap_or_default();
         let mut lines = text.lines();
-        let header = lines
-            .find(|line| !line.starts_with('#') && !line.trim().is_empty())
-            .unwrap_or_default();
+        let header = lines.find(|line| !line.starts_with('#') && !line.trim().is_empty()).unwrap_or_default();
         let comments = text.lines().take_while(|line| line.starts_with('#'));
         let about: Vec<&str> = comments.map(|line| line.trim_start_matches(['#', ' '])).collect();
         let about = about.join(" ");
         // Only what is given against wavelength is a spectrum.
-        let columns: Vec<&str> = if header.starts_with("nm,") {
-            header.split(',').skip(1).collect()
-        } else {
-            Vec::new()
-        };
+        let columns: Vec<&str> =
+            if header.starts_with("nm,") { header.split(',').skip(1).collect() } else { Vec::new() };
         columns
             .into_iter()
             .map(move |column| json!({"name": format!("{table}/{column}"), "description": about.clone()}))
@@ -84,46 +79,25 @@ fn metrics_text(state: &Jobs) -> String {
     let mut text = String::new();
     let mut gauge = |name: &str, help: &str, values: &[(String, usize)]| {
         // Writing into a string cannot fail.
-        let _ = writeln!(
-            text,
-            "# HELP photoneye_{name} {help}\n# TYPE photoneye_{name} gauge"
-        );
+        let _ = writeln!(text, "# HELP photoneye_{name} {help}\n# TYPE photoneye_{name} gauge");
         for (labels, value) in values {
             let _ = writeln!(text, "photoneye_{name}{labels} {value}");
         }
     };
     let of_state = |one: JobState| state.jobs.values().filter(|job| job.state == one).count();
     let label = |key: &str, value: String| format!("{{{key}=\"{}\"}}", value.to_lowercase());
-    let jobs: Vec<_> = JobState::ALL
-        .iter()
-        .map(|one| (label("state", format!("{one:?}")), of_state(*one)))
-        .collect();
+    let jobs: Vec<_> =
+        JobState::ALL.iter().map(|one| (label("state", format!("{one:?}")), of_state(*one))).collect();
     gauge("jobs", "Jobs by state.", &jobs);
-    let of_phase = |one: Phase| {
-        state
-            .artifacts
-            .values()
-            .filter(|artifact| artifact.lease.phase == one)
-            .count()
-    };
-    let artifacts: Vec<_> = Phase::ALL
-        .iter()
-        .map(|one| (label("phase", format!("{one:?}")), of_phase(*one)))
-        .collect();
+    let of_phase =
+        |one: Phase| state.artifacts.values().filter(|artifact| artifact.lease.phase == one).count();
+    let artifacts: Vec<_> =
+        Phase::ALL.iter().map(|one| (label("phase", format!("{one:?}")), of_phase(*one))).collect();
     gauge("artifacts", "Artifacts by phase.", &artifacts);
     let total = |value: usize| [(String::new(), value)];
     gauge("leases", "Work that workers hold.", &total(state.leased.len()));
-    let left = state
-        .active
-        .iter()
-        .filter_map(|id| state.jobs.get(id))
-        .map(|job| job.left)
-        .sum();
-    gauge(
-        "shards_left",
-        "Shards of active jobs that are not done.",
-        &total(left),
-    );
+    let left = state.active.iter().filter_map(|id| state.jobs.get(id)).map(|job| job.left).sum();
+    gauge("shards_left", "Shards of active jobs that are not done.", &total(left));
     let chunks = state.jobs.values().map(|job| job.chunks.len()).sum();
     gauge("chunks", "Result chunks.", &total(chunks));
     gauge(

@@ -37,10 +37,7 @@ pub(super) async fn create(
     let experiment = experiment_from_json(&spec_text(&headers, body).await?)?;
     let key = headers.get("idempotency-key").map(|key| match key.to_str() {
         Ok(key) if !key.is_empty() && key.len() <= 255 => Ok(key.to_owned()),
-        _ => Err(FieldError::new(
-            "Idempotency-Key",
-            "is 1 to 255 characters of plain text",
-        )),
+        _ => Err(FieldError::new("Idempotency-Key", "is 1 to 255 characters of plain text")),
     });
     let (job, new) = service.create(&experiment, key.transpose()?).await?;
     let place = [(header::LOCATION, format!("/v1/jobs/{}", job.id()))];
@@ -66,13 +63,9 @@ pub(super) async fn list(
     State(service): Shared,
     Query(query): Query<Page>,
 ) -> Result<Json<v1::ListJobsReply>, Error> {
-    let size = query.page_size.map(|size| {
-        size.parse()
-            .map_err(|_| FieldError::new("page_size", "is not a number"))
-    });
-    Ok(Json(
-        service.list(query.page.as_deref(), size.transpose()?).await?,
-    ))
+    let size =
+        query.page_size.map(|size| size.parse().map_err(|_| FieldError::new("page_size", "is not a number")));
+    Ok(Json(service.list(query.page.as_deref(), size.transpose()?).await?))
 }
 
 pub(super) async fn events(
@@ -84,9 +77,7 @@ pub(super) async fn events(
         let number = last.to_str().ok().and_then(|text| text.parse().ok());
         number.ok_or_else(|| FieldError::new("Last-Event-ID", "is not a number"))
     });
-    let events = Arc::clone(&service)
-        .watch(id, last.transpose()?.unwrap_or(0))
-        .await?;
+    let events = Arc::clone(&service).watch(id, last.transpose()?.unwrap_or(0)).await?;
     let events = events.map(|event| {
         let data = serde_json::to_string(&event.job).unwrap_or_default();
         let seq = event.seq().to_string();

@@ -43,10 +43,7 @@ pub fn routes(service: Arc<Service>) -> Router {
         .route("/v1/eyes", get(catalog::eyes))
         .route("/v1/spectra", get(catalog::spectra))
         .route("/v1/retinas", get(catalog::retinas))
-        .route(
-            "/healthz",
-            get(|| async { Json(serde_json::json!({"status": "ok"})) }),
-        )
+        .route("/healthz", get(|| async { Json(serde_json::json!({"status": "ok"})) }))
         .route("/readyz", get(catalog::ready))
         .route("/metrics", get(catalog::metrics))
         .route("/openapi.json", get(docs::openapi))
@@ -64,10 +61,7 @@ async fn wrong_method(request: Request) -> Response {
 
 /// For paths that neither door knows.
 pub async fn unknown(request: Request) -> Response {
-    let kind = request
-        .headers()
-        .get(header::CONTENT_TYPE)
-        .map(http::HeaderValue::as_bytes);
+    let kind = request.headers().get(header::CONTENT_TYPE).map(http::HeaderValue::as_bytes);
     if kind.is_some_and(|kind| kind.starts_with(b"application/grpc")) {
         return tonic::Status::unimplemented(format!("no method {}", request.uri().path()))
             .into_http::<Body>();
@@ -79,19 +73,13 @@ pub async fn unknown(request: Request) -> Response {
 async fn spec_text(headers: &HeaderMap, body: Body) -> Result<String, Error> {
     let body = Limited::new(body, MAX_SPEC).collect().await.map_err(|error| {
         if error.is::<LengthLimitError>() {
-            Error::new(
-                Kind::TooLarge,
-                format!("the body is larger than {MAX_SPEC} bytes"),
-            )
+            Error::new(Kind::TooLarge, format!("the body is larger than {MAX_SPEC} bytes"))
         } else {
             Error::new(Kind::Invalid, format!("the body broke off: {error}"))
         }
     })?;
     let bytes = body.to_bytes();
-    let kind = headers
-        .get(header::CONTENT_TYPE)
-        .map(http::HeaderValue::as_bytes)
-        .unwrap_or_default();
+    let kind = headers.get(header::CONTENT_TYPE).map(http::HeaderValue::as_bytes).unwrap_or_default();
     if kind.starts_with(b"application/x-www-form-urlencoded") {
         // Some clients call everything a form; JSON begins with a brace, a form with a name.
         if !bytes.trim_ascii_start().starts_with(b"{") {
@@ -107,15 +95,9 @@ async fn form_field(bytes: bytes::Bytes) -> Result<String, Error> {
         spec: String,
     }
     let kind = (header::CONTENT_TYPE, "application/x-www-form-urlencoded");
-    let request = Request::builder()
-        .method(http::Method::POST)
-        .header(kind.0, kind.1);
-    let request = request
-        .body(Body::from(bytes))
-        .map_err(|_| Error::new(Kind::Invalid, "the body is not a form"))?;
+    let request = Request::builder().method(http::Method::POST).header(kind.0, kind.1);
+    let request =
+        request.body(Body::from(bytes)).map_err(|_| Error::new(Kind::Invalid, "the body is not a form"))?;
     let form = axum::Form::<Fields>::from_request(request, &()).await;
-    Ok(form
-        .map_err(|_| Error::new(Kind::Invalid, "the form has no field `spec`"))?
-        .0
-        .spec)
+    Ok(form.map_err(|_| Error::new(Kind::Invalid, "the form has no field `spec`"))?.0.spec)
 }

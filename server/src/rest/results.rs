@@ -34,11 +34,7 @@ pub(super) async fn arrow(
 
 pub(super) async fn npy(State(service): Shared, Path(id): Path<String>) -> Result<Response, Error> {
     let stream = Arc::clone(&service).npy(id).await?;
-    Ok((
-        [(CONTENT_TYPE, "application/octet-stream")],
-        Body::from_stream(stream),
-    )
-        .into_response())
+    Ok(([(CONTENT_TYPE, "application/octet-stream")], Body::from_stream(stream)).into_response())
 }
 
 pub(super) async fn cones(State(service): Shared, Path(id): Path<String>) -> Result<Response, Error> {

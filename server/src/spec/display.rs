@@ -20,17 +20,13 @@ pub fn display(spec: Option<&v1::Display>) -> Result<Display, FieldError> {
     };
     let white = match (spec.white_luminance_cd_m2, spec.lumens) {
         (Some(_), Some(_)) => {
-            return Err(FieldError::new(
-                "display.lumens",
-                "excludes `white_luminance_cd_m2`",
-            ));
+            return Err(FieldError::new("display.lumens", "excludes `white_luminance_cd_m2`"));
         }
         (None, Some(lumens)) => White::Lumens(lumens + 0.0),
         (luminance, None) => White::LuminanceCdM2(needed("display.white_luminance_cd_m2", luminance)? + 0.0),
     };
-    let primaries = (0..)
-        .zip(&spec.primaries)
-        .map(|(i, one)| primary(&format!("display.primaries[{i}]"), one));
+    let primaries =
+        (0..).zip(&spec.primaries).map(|(i, one)| primary(&format!("display.primaries[{i}]"), one));
     let display = Display {
         width_px: needed("display.width_px", spec.width_px)?,
         height_px: needed("display.height_px", spec.height_px)?,
@@ -54,10 +50,7 @@ pub fn display(spec: Option<&v1::Display>) -> Result<Display, FieldError> {
 pub fn preset(name: &str) -> Result<v1::Display, FieldError> {
     let text = catalog::text("displays", name).ok_or_else(|| {
         let names = catalog::names("displays").join("`, `");
-        FieldError::new(
-            "display.preset",
-            format!("unknown display `{name}`, expected one of `{names}`"),
-        )
+        FieldError::new("display.preset", format!("unknown display `{name}`, expected one of `{names}`"))
     })?;
     from_json(text)
         .map_err(|error| FieldError::new("display.preset", format!("data/displays/{name}.json: {error}")))
@@ -68,11 +61,7 @@ fn over(preset: v1::Display, spec: &v1::Display) -> v1::Display {
     let bright = spec.white_luminance_cd_m2.is_some() || spec.lumens.is_some();
     let white = if bright { spec } else { &preset };
     let (white_luminance_cd_m2, lumens) = (white.white_luminance_cd_m2, white.lumens);
-    let primaries = if spec.primaries.is_empty() {
-        preset.primaries
-    } else {
-        spec.primaries.clone()
-    };
+    let primaries = if spec.primaries.is_empty() { preset.primaries } else { spec.primaries.clone() };
     v1::Display {
         preset: spec.preset.clone(),
         width_px: spec.width_px.or(preset.width_px),
@@ -102,12 +91,7 @@ fn transfer(spec: &v1::Display) -> Result<Transfer, FieldError> {
 
 fn emission_law(spec: &v1::Display) -> Result<EmissionLaw, FieldError> {
     use v1::display::EmissionLaw as E;
-    let law = choice(
-        "display.emission_law",
-        spec.emission_law,
-        E::Lambertian,
-        E::as_str_name,
-    )?;
+    let law = choice("display.emission_law", spec.emission_law, E::Lambertian, E::as_str_name)?;
     Ok(match law {
         E::Lambertian => EmissionLaw::Lambertian,
         E::Uniform => EmissionLaw::Uniform,
@@ -130,19 +114,9 @@ fn primary(path: &str, spec: &v1::Primary) -> Result<Primary, FieldError> {
     let rect = |(i, rect): (usize, &v1::Rect)| -> Result<[f64; 4], FieldError> {
         let corner =
             |name: &str, value| needed(&format!("{path}.rects[{i}].{name}"), value).map(|v: f64| v + 0.0);
-        Ok([
-            corner("x0", rect.x0)?,
-            corner("y0", rect.y0)?,
-            corner("x1", rect.x1)?,
-            corner("y1", rect.y1)?,
-        ])
+        Ok([corner("x0", rect.x0)?, corner("y0", rect.y0)?, corner("x1", rect.x1)?, corner("y1", rect.y1)?])
     };
-    let mut rects = spec
-        .rects
-        .iter()
-        .enumerate()
-        .map(rect)
-        .collect::<Result<Vec<_>, _>>()?;
+    let mut rects = spec.rects.iter().enumerate().map(rect).collect::<Result<Vec<_>, _>>()?;
     if rects.is_empty() {
         rects.push([0.0, 0.0, 1.0, 1.0]);
     }

@@ -78,12 +78,7 @@ fn eye(spec: Option<&v1::Eye>, distance_cm: f64) -> Result<Eye, FieldError> {
 fn stiles_crawford(spec: Option<&v1::StilesCrawford>) -> Result<(f64, f64), FieldError> {
     use v1::stiles_crawford::Base as B;
     let spec = spec.copied().unwrap_or_default();
-    let rho = in_range(
-        "eye.stiles_crawford.rho_per_mm2",
-        number(spec.rho_per_mm2, 0.05),
-        0.0,
-        0.2,
-    )?;
+    let rho = in_range("eye.stiles_crawford.rho_per_mm2", number(spec.rho_per_mm2, 0.05), 0.0, 0.2)?;
     let rho10 = match choice("eye.stiles_crawford.base", spec.base, B::Ten, B::as_str_name)? {
         B::Ten => rho,
         B::E => rho * std::f64::consts::LOG10_E,
@@ -97,10 +92,7 @@ fn retina(spec: Option<&v1::Retina>) -> Result<Retina, FieldError> {
     let generator = match choice("retina.generator", spec.generator, G::Domain, G::as_str_name)? {
         G::Domain => Generator::Domain,
         G::Ring => {
-            return Err(FieldError::new(
-                "retina.generator",
-                "`RING` is not built yet, take `DOMAIN`",
-            ));
+            return Err(FieldError::new("retina.generator", "`RING` is not built yet, take `DOMAIN`"));
         }
     };
     let region_deg = match spec.region_deg {
@@ -124,18 +116,9 @@ fn retina(spec: Option<&v1::Retina>) -> Result<Retina, FieldError> {
 /// Shares that sum to 1.
 fn cone_ratio(spec: v1::ConeRatio) -> Result<[f64; 3], FieldError> {
     let share = |name: &str, value, default| {
-        in_range(
-            &format!("retina.cone_ratio.{name}"),
-            number(value, default),
-            0.0,
-            1e6,
-        )
+        in_range(&format!("retina.cone_ratio.{name}"), number(value, default), 0.0, 1e6)
     };
-    let shares = [
-        share("l", spec.l, 0.62)?,
-        share("m", spec.m, 0.30)?,
-        share("s", spec.s, 0.08)?,
-    ];
+    let shares = [share("l", spec.l, 0.62)?, share("m", spec.m, 0.30)?, share("s", spec.s, 0.08)?];
     let sum: f64 = shares.iter().sum();
     if sum < 1e-9 {
         return Err(FieldError::new("retina.cone_ratio", "the shares are all 0"));

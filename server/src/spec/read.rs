@@ -5,10 +5,7 @@ use photoneye_proto::FieldError;
 
 /// An error of the model, in the schema's words.
 pub fn field_error(error: RangeError) -> FieldError {
-    FieldError::new(
-        error.field,
-        format!("{} is out of range, allowed is {}", error.value, error.allowed),
-    )
+    FieldError::new(error.field, format!("{} is out of range, allowed is {}", error.value, error.allowed))
 }
 
 /// The number or its default; -0 is 0.
@@ -40,10 +37,7 @@ pub fn choice<E: TryFrom<i32> + Copy>(
     E::try_from(value).map_err(|_| {
         let all = (0..).map_while(|i| E::try_from(i).ok());
         let names: Vec<String> = all.map(|choice| format!("`{}`", name(&choice))).collect();
-        FieldError::new(
-            path,
-            format!("unknown variant `{value}`, expected one of {}", names.join(", ")),
-        )
+        FieldError::new(path, format!("unknown variant `{value}`, expected one of {}", names.join(", ")))
     })
 }
 

@@ -34,21 +34,19 @@ pub fn video(spec: Option<&v1::Video>, gaze: &Gaze, display: &Display) -> Result
 
 fn pattern_of(spec: &v1::Pattern, gaze: &Gaze, display: &Display) -> Result<Pattern, FieldError> {
     Ok(match &spec.kind {
-        Some(pattern::Kind::Uniform(uniform)) => Pattern::Uniform {
-            rgb: numbers("video.pattern.uniform.rgb", &uniform.rgb)?,
-        },
+        Some(pattern::Kind::Uniform(uniform)) => {
+            Pattern::Uniform { rgb: numbers("video.pattern.uniform.rgb", &uniform.rgb)? }
+        }
         Some(pattern::Kind::Grating(grating)) => Pattern::Grating {
-            cycles_per_degree: needed(
-                "video.pattern.grating.cycles_per_degree",
-                grating.cycles_per_degree,
-            )? + 0.0,
+            cycles_per_degree: needed("video.pattern.grating.cycles_per_degree", grating.cycles_per_degree)?
+                + 0.0,
             contrast: number(grating.contrast, 1.0),
             orientation_deg: number(grating.orientation_deg, 0.0),
             phase_deg: number(grating.phase_deg, 0.0),
         },
-        Some(pattern::Kind::Checkerboard(board)) => Pattern::Checkerboard {
-            square_px: board.square_px.unwrap_or(1),
-        },
+        Some(pattern::Kind::Checkerboard(board)) => {
+            Pattern::Checkerboard { square_px: board.square_px.unwrap_or(1) }
+        }
         Some(pattern::Kind::Point(point)) => Pattern::Point {
             at_px: match point.at_px.as_slice() {
                 [] => middle_pixel(gaze, display),
@@ -64,10 +62,7 @@ fn pattern_of(spec: &v1::Pattern, gaze: &Gaze, display: &Display) -> Result<Patt
             },
         },
         None => {
-            return Err(empty_choice(
-                "video.pattern",
-                &["uniform", "grating", "checkerboard", "point"],
-            ));
+            return Err(empty_choice("video.pattern", &["uniform", "grating", "checkerboard", "point"]));
         }
     })
 }
@@ -75,10 +70,7 @@ fn pattern_of(spec: &v1::Pattern, gaze: &Gaze, display: &Display) -> Result<Patt
 /// The pixel at the gaze centre, or the nearest one.
 fn middle_pixel(gaze: &Gaze, display: &Display) -> [u32; 2] {
     let pixel = |center: f64, size: u32| (center.max(0.0) as u32).min(size.saturating_sub(1));
-    [
-        pixel(gaze.center_px[0], display.width_px),
-        pixel(gaze.center_px[1], display.height_px),
-    ]
+    [pixel(gaze.center_px[0], display.width_px), pixel(gaze.center_px[1], display.height_px)]
 }
 
 /// Where the eye looks.
@@ -88,10 +80,7 @@ fn middle_pixel(gaze: &Gaze, display: &Display) -> [u32; 2] {
 pub fn gaze(spec: Option<&v1::Gaze>, display: &Display) -> Result<Gaze, FieldError> {
     let center = spec.map_or(&[][..], |spec| &spec.center_px);
     let center_px = if center.is_empty() {
-        [
-            0.5 * f64::from(display.width_px),
-            0.5 * f64::from(display.height_px),
-        ]
+        [0.5 * f64::from(display.width_px), 0.5 * f64::from(display.height_px)]
     } else {
         numbers("gaze.center_px", center)?
     };

@@ -75,11 +75,7 @@ pub async fn http(
     let bytes = tokio::task::spawn_blocking(exchange).await.unwrap();
     let split = bytes.windows(4).position(|end| end == b"\r\n\r\n").unwrap();
     let head = String::from_utf8_lossy(&bytes[..split]).to_lowercase();
-    Answer {
-        status: head[9..12].parse().unwrap(),
-        head,
-        body: bytes[split + 4..].to_vec(),
-    }
+    Answer { status: head[9..12].parse().unwrap(), head, body: bytes[split + 4..].to_vec() }
 }
 
 pub async fn get(address: SocketAddr, path: &str) -> Answer {
@@ -87,23 +83,13 @@ pub async fn get(address: SocketAddr, path: &str) -> Answer {
 }
 
 pub async fn post(address: SocketAddr, path: &str, body: &Value) -> Answer {
-    http(
-        address,
-        "POST",
-        path,
-        &[("content-type", "application/json")],
-        body.to_string().as_bytes(),
-    )
-    .await
+    http(address, "POST", path, &[("content-type", "application/json")], body.to_string().as_bytes()).await
 }
 
 async fn put(channel: &Channel, bytes: Vec<u8>) -> String {
     let parts = [Part::Size(bytes.len() as u64), Part::Bytes(bytes.into())];
     let parts = parts.map(|part| v1::PutBlobRequest { part: Some(part) });
-    let reply = BlobsClient::new(channel.clone())
-        .put(tokio_stream::iter(parts))
-        .await
-        .unwrap();
+    let reply = BlobsClient::new(channel.clone()).put(tokio_stream::iter(parts)).await.unwrap();
     reply.into_inner().digest().to_owned()
 }
 
@@ -117,38 +103,23 @@ pub async fn work_on(channel: &Channel, real: bool) -> usize {
     let mut cones = CONES;
     let mut workers = WorkersClient::new(channel.clone());
     for count in 0.. {
-        let request = v1::LeaseRequest {
-            worker: Some("test".into()),
-            holds: Vec::new(),
-            wait_ms: Some(0),
-        };
+        let request = v1::LeaseRequest { worker: Some("test".into()), holds: Vec::new(), wait_ms: Some(0) };
         let lease = workers.lease(request).await.unwrap().into_inner();
         let done = match lease.work.as_ref().unwrap() {
             Work::Nothing(_) => return count,
             Work::Build(build) => {
                 assert!(build.spec_json().starts_with('{'));
-                let (bytes, held) = if real {
-                    built(channel, build).await
-                } else {
-                    made_up(build)
-                };
+                let (bytes, held) = if real { built(channel, build).await } else { made_up(build) };
                 if build.kind() == "cones" {
                     cones = held.unwrap_or(cones);
                 }
                 let digest = put(channel, bytes).await;
-                v1::commit_request::Done::Artifact(v1::ArtifactResult {
-                    digest: Some(digest),
-                    cones: held,
-                })
+                v1::commit_request::Done::Artifact(v1::ArtifactResult { digest: Some(digest), cones: held })
             }
             Work::Shard(shard) => v1::commit_request::Done::Shard(counts(channel, shard, cones).await),
         };
-        let request = v1::CommitRequest {
-            id: lease.id,
-            fence: lease.fence,
-            done: Some(done),
-            report_json: None,
-        };
+        let request =
+            v1::CommitRequest { id: lease.id, fence: lease.fence, done: Some(done), report_json: None };
         assert!(workers.commit(request).await.unwrap().into_inner().accepted());
     }
     unreachable!()
@@ -166,14 +137,8 @@ async fn built(channel: &Channel, build: &v1::Build) -> (Vec<u8>, Option<u64>) {
     }
     let mut inputs = Vec::new();
     for input in &build.inputs {
-        let request = v1::GetBlobRequest {
-            digest: input.digest.clone(),
-        };
-        let mut pieces = BlobsClient::new(channel.clone())
-            .get(request)
-            .await
-            .unwrap()
-            .into_inner();
+        let request = v1::GetBlobRequest { digest: input.digest.clone() };
+        let mut pieces = BlobsClient::new(channel.clone()).get(request).await.unwrap().into_inner();
         let mut bytes = Vec::new();
         while let Some(piece) = pieces.message().await.unwrap() {
             bytes.extend_from_slice(piece.bytes());
@@ -181,10 +146,7 @@ async fn built(channel: &Channel, build: &v1::Build) -> (Vec<u8>, Option<u64>) {
         inputs.push((input.key().parse().unwrap(), bytes));
     }
     let spec: ArtifactSpec = serde_json::from_str(build.spec_json()).unwrap();
-    let inputs: Vec<_> = inputs
-        .iter()
-        .map(|(key, bytes): &(_, Vec<u8>)| (*key, bytes.as_slice()))
-        .collect();
+    let inputs: Vec<_> = inputs.iter().map(|(key, bytes): &(_, Vec<u8>)| (*key, bytes.as_slice())).collect();
     let built = spec.build(&inputs).unwrap();
     (built.bytes, built.cones)
 }
