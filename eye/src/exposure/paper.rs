@@ -20,6 +20,7 @@ use super::scene::Scene;
 use super::source::{Projector, relative_light};
 use super::spectral::{Absorbers, Paths};
 use crate::cone::ISOMERIZATION;
+use crate::cone::pigment::axial_density;
 use crate::display::Emitter;
 use crate::experiment::{Experiment, PaperSettings};
 use crate::optics::{Object, Projection, PupilBundle};
@@ -42,6 +43,8 @@ const CHUNK: usize = 64;
 struct Table {
     /// Cumulative probability, `[i][j]`, i along x_um.
     cumulative: Vec<f32>,
+    /// Its values at the end of each row, so that a search first finds the row: fewer cache lines.
+    row_ends: Vec<f32>,
     half_width_um: f64,
     /// Landing point of the chief ray, µm.
     landing_um: DVec2,
@@ -51,8 +54,10 @@ struct Table {
 
 /// A cone's own numbers.
 struct Catch {
-    pointing: f64,
-    ecc_deg: f64,
+    /// Share of photons that it guides.
+    guided: f64,
+    /// Axial density of its pigment times ln 10.
+    density: f64,
     cone_type: ConeType,
 }
 
@@ -60,7 +65,8 @@ struct Catch {
 pub struct Paper {
     settings: PaperSettings,
     seed: u64,
-    throughput: f64,
+    /// `[type][channel]`, peak 1.
+    absorbance: [Vec<f64>; 3],
     paths: Paths,
     scene: Scene,
     index: ConeIndex,
@@ -71,8 +77,8 @@ pub struct Paper {
     nodes: [usize; 2],
     /// `[node][channel]`.
     tables: Vec<Vec<Option<Table>>>,
-    /// Cumulative share of the wavelength samples of each emitter.
-    wavelengths: Vec<Vec<(f64, f64)>>,
+    /// Cumulative share of each emitter's photons by channel.
+    channels: Vec<Vec<f64>>,
     slant: Vec<f64>,
 }
 
@@ -94,26 +100,31 @@ impl Paper {
         let cones = (0..retina.len())
             .map(|i| {
                 let [px, py] = retina.pointing[i];
+                let cone_type = retina.cone_type[i];
                 Catch {
-                    pointing: pointing.factor(f64::from(px).hypot(f64::from(py))),
-                    ecc_deg: columns.ecc_deg[i],
-                    cone_type: retina.cone_type[i],
+                    guided: kernels.throughput() * pointing.factor(f64::from(px).hypot(f64::from(py))),
+                    density: std::f64::consts::LN_10 * axial_density(cone_type, columns.ecc_deg[i]),
+                    cone_type,
                 }
             })
             .collect();
+        let absorbance = [ConeType::L, ConeType::M, ConeType::S].map(|cone_type| {
+            let at = |c| absorbers.pigments.absorbance(cone_type, MIN_NM + CHANNEL_NM * c as f64);
+            (0..CHANNELS).map(at).collect()
+        });
         let step = experiment.counts.paper.node_um / UM_PER_TANGENT;
         let corner = |px: f64, py: f64| scene.tangent(DVec2::new(px, py));
         let (width, height) = (f64::from(scene.size_px[0]), f64::from(scene.size_px[1]));
         let (from, to) = (corner(0.0, height), corner(width, 0.0));
         let origin = (from / step).floor() * step;
         let nodes = [0, 1].map(|axis| ((to[axis] - origin[axis]) / step).ceil().max(1.0) as usize + 1);
-        let wavelengths: Vec<_> = projector.emitters.iter().map(cumulative_wavelengths).collect();
-        let used: Vec<bool> =
-            (0..CHANNELS).map(|c| wavelengths.iter().flatten().any(|(nm, _)| channel(*nm) == c)).collect();
+        let channels: Vec<_> = projector.emitters.iter().map(cumulative_channels).collect();
+        let lit = |c| projector.emitters.iter().flat_map(|e| &e.photons).any(|p| channel(p.nm) == c);
+        let used: Vec<bool> = (0..CHANNELS).map(lit).collect();
         let mut paper = Self {
             settings: experiment.counts.paper,
             seed: experiment.counts.seed,
-            throughput: kernels.throughput(),
+            absorbance,
             paths: kernels.paths(),
             scene: scene.clone(),
             index: ConeIndex::new(retina),
@@ -122,7 +133,7 @@ impl Paper {
             origin,
             nodes,
             tables: Vec::new(),
-            wavelengths,
+            channels,
             slant: slants(projector, projection, scene),
         };
         let apodize = experiment.eye.stiles_crawford_rho10_per_mm2;
@@ -165,10 +176,13 @@ impl Paper {
             .map(|r| 10_f64.powf(-0.5 * rho * (r.stop * entrance_mm).length_squared()))
             .collect();
         let cumulative = cumulative(&bundle, &amplitudes, self.settings.samples as usize, half_width_um);
+        let row_ends =
+            cumulative.chunks_exact(self.settings.samples as usize).map(|row| row[row.len() - 1]).collect();
         let ecc_deg = tangent.length().atan().to_degrees();
         let media = &self.absorbers.media;
         Ok(Table {
             cumulative,
+            row_ends,
             half_width_um,
             landing_um: projection.retina_um(tangent, nm).map_err(|e| e.to_string())?,
             passed: [
@@ -239,13 +253,15 @@ impl Paper {
         let light = relative_light(&projector.display, emitter.channel, &picture.rgb[3 * at..3 * at + 3]);
         let mean = light * emitter.emitted() * projector.pupil_share * self.slant[pixel];
         let seconds = 1.0 / projector.display.frame_rate_hz;
+        // Within a frame the movement is affine: orientation at a photon's time lies between those at on and off.
+        let [on, off] =
+            emitter.lit.map(|part| projector.gaze.screen_tangent((f64::from(index) + part) * seconds));
         for _ in 0..super::poisson::from_stream(stream, mean) as u64 {
             let place = Self::place(emitter, stream) + DVec2::new(column as f64, row as f64);
-            let part = emitter.lit[0] + (emitter.lit[1] - emitter.lit[0]) * stream.uniform();
-            let seen = self.scene.tangent(place)
-                - projector.gaze.screen_tangent((f64::from(index) + part) * seconds);
-            let nm = sample(&self.wavelengths[k], stream.uniform());
-            self.photon(seen, channel(nm), stream, tally);
+            let seen = self.scene.tangent(place) - on.lerp(off, stream.uniform());
+            let uniform = stream.uniform();
+            let channel = self.channels[k].partition_point(|c| *c <= uniform).min(CHANNELS - 1);
+            self.photon(seen, channel, stream, tally);
         }
     }
 
@@ -311,12 +327,12 @@ impl Paper {
             return;
         };
         let cone = &self.cones[owner as usize];
-        if stream.uniform() >= self.throughput * cone.pointing {
+        if stream.uniform() >= cone.guided {
             tally.budget.stiles_crawford += 1.0;
             return;
         }
-        let nm = MIN_NM + CHANNEL_NM * channel as f64;
-        if stream.uniform() >= self.absorbers.pigments.absorptance(cone.cone_type, nm, cone.ecc_deg) {
+        let absorptance = -(-cone.density * self.absorbance[cone.cone_type as usize][channel]).exp_m1();
+        if stream.uniform() >= absorptance {
             tally.budget.not_absorbed += 1.0;
         } else if stream.uniform() >= ISOMERIZATION {
             tally.budget.not_isomerized += 1.0;
@@ -330,10 +346,13 @@ impl Paper {
 impl Table {
     /// The landing offset for a uniform number, µm.
     fn draw(&self, uniform: f64, samples: usize) -> DVec2 {
-        let at = self.cumulative.partition_point(|c| f64::from(*c) <= uniform).min(self.cumulative.len() - 1);
+        let above = |c: &f32| f64::from(*c) <= uniform;
+        let row = self.row_ends.partition_point(above).min(samples - 1);
+        let line = &self.cumulative[row * samples..(row + 1) * samples];
+        let column = line.partition_point(above).min(samples - 1);
         let pitch = 2.0 * self.half_width_um / samples as f64;
         let offset = |i: usize| (i as f64 + 0.5) * pitch - self.half_width_um;
-        DVec2::new(offset(at / samples), offset(at % samples))
+        DVec2::new(offset(row), offset(column))
     }
 }
 
@@ -341,18 +360,21 @@ fn channel(nm: f64) -> usize {
     (((nm - MIN_NM) / CHANNEL_NM).round().max(0.0) as usize).min(CHANNELS - 1)
 }
 
-fn cumulative_wavelengths(emitter: &Emitter) -> Vec<(f64, f64)> {
-    let total = emitter.emitted();
+/// Cumulative share of an emitter's photons by channel, each photon in the channel nearest to its wavelength.
+fn cumulative_channels(emitter: &Emitter) -> Vec<f64> {
+    let mut shares = vec![0.0; CHANNELS];
+    for photon in &emitter.photons {
+        shares[channel(photon.nm)] += photon.emitted;
+    }
+    let total = emitter.emitted().max(f64::MIN_POSITIVE);
     let mut sum = 0.0;
-    let add = |p: &crate::display::PhotonSample| {
-        sum += p.emitted;
-        (p.nm, if total > 0.0 { sum / total } else { 1.0 })
-    };
-    emitter.photons.iter().map(add).collect()
-}
-
-fn sample(cumulative: &[(f64, f64)], uniform: f64) -> f64 {
-    cumulative[cumulative.partition_point(|(_, c)| *c <= uniform).min(cumulative.len() - 1)].0
+    shares
+        .into_iter()
+        .map(|share| {
+            sum += share;
+            sum / total
+        })
+        .collect()
 }
 
 /// Slant factors of the window's pixels.

@@ -13,6 +13,8 @@ use super::mosaic::Retina;
 pub struct ConeIndex {
     grid: Grid,
     reach: f64,
+    /// Centre of each cone and the square of its farthest corner's distance.
+    disc: Vec<(DVec2, f64)>,
     start: Vec<u32>,
     corner: Vec<DVec2>,
 }
@@ -23,14 +25,19 @@ impl ConeIndex {
         let centers: Vec<DVec2> = (0..retina.len()).map(|i| retina.center(i)).collect();
         let mut corner = Vec::with_capacity(retina.polygon_xy.len() / 2);
         let (mut start, mut reach) = (vec![0], 0.0_f64);
+        let mut disc = Vec::with_capacity(centers.len());
         for (i, &c) in centers.iter().enumerate() {
+            let mut farthest = 0.0_f64;
             for p in retina.polygon(i) {
-                reach = reach.max((p - c).abs().max_element());
+                farthest = farthest.max((p - c).length());
                 corner.push(p);
             }
+            reach = reach.max(farthest);
+            // A hair more than the farthest corner, so that rounding excludes nothing.
+            disc.push((c, farthest * farthest * (1.0 + 1e-9)));
             start.push(corner.len() as u32);
         }
-        Self { grid: Grid::new(&centers, reach), reach, start, corner }
+        Self { grid: Grid::new(&centers, reach), reach, disc, start, corner }
     }
 
     /// The cone whose aperture owns `p`, µm of the chart; `None` between apertures and outside.
@@ -45,6 +52,10 @@ impl ConeIndex {
     }
 
     fn owns(&self, i: usize, p: DVec2) -> bool {
+        let (centre, radius2) = self.disc[i];
+        if (p - centre).length_squared() > radius2 {
+            return false;
+        }
         let corner = &self.corner[self.start[i] as usize..self.start[i + 1] as usize];
         let n = corner.len();
         n >= 3 && (0..n).all(|m| is_left(corner[m], corner[(m + 1) % n], p))

@@ -1,6 +1,6 @@
 //! The job machine: jobs are artifact builds and shards; workers lease them, keep the lease alive and commit.
 //!
-//! [`step`] is the whole logic, without I/O; a store only keeps what it changed.
+//! [`step()`] is the whole logic, without I/O; a store only keeps what it changed.
 
 pub mod command;
 pub mod lease;
