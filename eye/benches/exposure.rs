@@ -42,9 +42,9 @@ fn prepared(experiment: &Experiment) -> Exposure {
 }
 
 fn main() {
-    // The picture with 1 degree of retina around it: some 50,000 cones.
+    // The picture with more than 1 degree of retina around it: some 50,000 cones.
     let mut experiment = figure_12(Pattern::Checkerboard { square_px: 3 });
-    experiment.retina.region_deg = Some([-1.25, 1.25, -1.25, 1.25]);
+    experiment.retina.region_deg = Some([-1.85, 1.85, -1.85, 1.85]);
     let wide = prepared(&experiment);
     let frame = median(9, || drop(wide.frame(0, None).unwrap()));
     println!(

@@ -52,7 +52,7 @@ impl Service {
             "versions": {"photoneye": env!("CARGO_PKG_VERSION"), "counts": COUNTS_VERSION},
             "error_estimate": {
                 "parts": plan["error_estimate"],
-                "how": "planned from measured error curves of each method; relative error of the mean per cone, L1 over cones",
+                "how": "predicted before the run for the chosen settings, from error curves measured on the scene of Figure 12; not an audit of this run; relative error of the mean per cone, L1 over cones",
             },
             "plan": plan,
             "artifacts": facts.artifacts,

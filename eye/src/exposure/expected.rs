@@ -16,14 +16,37 @@ use rustfft::num_complex::{Complex32, Complex64};
 
 use super::cones::{ConeTable, MappedCone};
 use super::grid::{Frequency, picture_spectrum, two_images};
+use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::scene::Scene;
-use super::source::Source;
+use super::source::{Source, SourcePrimary, pixel_transform};
 use super::spectral::KINDS;
-use super::spread::{Spread, polygon_nodes};
+use super::spread::{LANES, Spread, polygon_nodes};
+use crate::display::Emitter;
 
 /// Index of the kind that counts arriving photons.
 pub const ARRIVING: usize = KINDS.len() - 1;
+
+/// Numerical settings.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// Width of the spreading kernel, samples.
+    pub spread_width: usize,
+    /// Transform images in single precision (relative error about 1e-6 of the brightest).
+    pub single: bool,
+}
+
+impl Settings {
+    /// Settings for an accuracy target.
+    pub fn for_target(target: f64) -> Self {
+        let spread_width = match target {
+            t if t >= 0.005 => 6,
+            t if t >= 5e-4 => 8,
+            _ => 10,
+        };
+        Self { spread_width, single: target >= 5e-4 }
+    }
+}
 
 /// Means of one frame.
 #[derive(Clone, Debug)]
@@ -46,8 +69,10 @@ struct Stencil {
 pub struct Expected {
     scene: Scene,
     frequencies: Vec<Frequency>,
-    /// 1/(P_x P_y φ̂_x φ̂_y) by frequency.
-    correction: Vec<f64>,
+    /// `[primary][frequency]`: transform of the pixel's rectangles over P_x P_y φ̂_x φ̂_y.
+    pixels: Vec<Vec<Complex64>>,
+    /// Whether images are transformed in single precision.
+    single: bool,
     /// (kind, `[primary][frequency]`) of each basis image.
     images: Vec<(usize, Vec<Vec<Complex32>>)>,
     stencils: Vec<Stencil>,
@@ -59,11 +84,13 @@ pub struct Expected {
 }
 
 impl Expected {
-    /// Prepares a scene's cones and kernels; `width` is the spreading kernel's width in samples.
-    pub fn new(scene: Scene, kernels: &Kernels, cones: &ConeTable, width: usize) -> Self {
-        let spread = Spread::new(width, 1.6);
+    /// Prepares a scene's cones and kernels.
+    pub fn new(inputs: &Inputs, cones: &ConeTable, settings: Settings) -> Self {
+        let Inputs { kernels, projector, .. } = inputs;
+        let scene = inputs.scene.clone();
+        let spread = Spread::new(settings.spread_width, 1.6);
         let frequencies = kept_frequencies(&scene);
-        let correction = corrections(&scene, &spread, &frequencies);
+        let pixels = pixel_transforms(&scene, &spread, &frequencies, &projector.emitters);
         let images = basis_images(&scene, kernels, &frequencies, cones);
         let per_px = scene.samples_per_px();
         let gathered: Vec<_> = cones
@@ -89,7 +116,8 @@ impl Expected {
         Self {
             scene,
             frequencies,
-            correction,
+            pixels,
+            single: settings.single,
             images,
             stencils,
             weights,
@@ -109,7 +137,11 @@ impl Expected {
             .map(|&[a, b]| {
                 let (first, second) =
                     (self.coefficients_of_image(a, &drive), self.coefficients_of_image(b, &drive));
-                two_images(&self.frequencies, &first, &second, self.scene.samples)
+                if self.single {
+                    two_images::<f32>(&self.frequencies, &first, &second, self.scene.samples)
+                } else {
+                    two_images::<f64>(&self.frequencies, &first, &second, self.scene.samples)
+                }
             })
             .collect::<Vec<_>>()
             .into_iter()
@@ -123,24 +155,16 @@ impl Expected {
     fn drive(&self, source: &Source) -> Vec<Vec<Complex64>> {
         let [px, py] = self.scene.period_px;
         let size = self.scene.size_px.map(|s| s as usize);
-        source
-            .primaries
-            .iter()
-            .map(|primary| {
-                let spectrum = picture_spectrum(&primary.light, size, [px, py]);
-                let wrap = |at: i32, n: usize| at.rem_euclid(n as i32) as usize;
-                self.frequencies
-                    .iter()
-                    .zip(&self.correction)
-                    .map(|(nu, correction)| {
-                        let cycles = DVec2::new(f64::from(nu.x) / px as f64, f64::from(nu.y) / py as f64);
-                        spectrum[wrap(nu.y, py) * px + wrap(nu.x, px)]
-                            * primary.transform(cycles)
-                            * *correction
-                    })
-                    .collect()
-            })
-            .collect()
+        let wrap = |at: i32, n: usize| at.rem_euclid(n as i32) as usize;
+        let sent = |(primary, pixel): (&SourcePrimary, &Vec<Complex64>)| {
+            let spectrum = picture_spectrum(&primary.light, size, [px, py]);
+            let at = |(nu, pixel): (&Frequency, &Complex64)| {
+                let cycles = DVec2::new(f64::from(nu.x) / px as f64, f64::from(nu.y) / py as f64);
+                spectrum[wrap(nu.y, py) * px + wrap(nu.x, px)] * pixel * primary.movement(cycles)
+            };
+            self.frequencies.par_iter().zip(pixel).with_min_len(4096).map(at).collect()
+        };
+        source.primaries.iter().zip(&self.pixels).map(sent).collect()
     }
 
     fn coefficients_of_image(&self, image: usize, drive: &[Vec<Complex64>]) -> Vec<Complex64> {
@@ -185,22 +209,23 @@ impl Expected {
         let [first_x, first_y] = stencil.first.map(|v| v as usize);
         let [nx, ny] = stencil.size.map(|v| v as usize);
         let weights = &self.weights[stencil.offset..stencil.offset + nx * ny];
-        let mut sum = 0.0_f64;
+        // Rows are sums of four lanes, so that they are computed four at a time; their order is fixed.
+        let mut lanes = [0.0_f32; LANES];
         for (dy, line) in weights.chunks_exact(nx.max(1)).enumerate() {
             let row = &grid[((first_y + dy) % rows) * columns..][..columns];
-            let mut part = 0.0_f32;
             if first_x + nx <= columns {
-                for (w, g) in line.iter().zip(&row[first_x..first_x + nx]) {
-                    part += w * g;
+                let (line, _) = line.as_chunks::<LANES>();
+                let (row, _) = row[first_x..first_x + nx].as_chunks::<LANES>();
+                for (w, g) in line.iter().zip(row) {
+                    (0..LANES).for_each(|i| lanes[i] += w[i] * g[i]);
                 }
             } else {
                 for (dx, w) in line.iter().enumerate() {
-                    part += w * row[(first_x + dx) % columns];
+                    lanes[dx % LANES] += w * row[(first_x + dx) % columns];
                 }
             }
-            sum += f64::from(part);
         }
-        sum
+        lanes.iter().map(|lane| f64::from(*lane)).sum()
     }
 }
 
@@ -223,18 +248,27 @@ fn kept_frequencies(scene: &Scene) -> Vec<Frequency> {
     kept
 }
 
-fn corrections(scene: &Scene, spread: &Spread, frequencies: &[Frequency]) -> Vec<f64> {
+/// `[primary][frequency]`: transform of the pixel's rectangles, divided by the period's area and by the spreading kernel's.
+fn pixel_transforms(
+    scene: &Scene,
+    spread: &Spread,
+    frequencies: &[Frequency],
+    emitters: &[Emitter],
+) -> Vec<Vec<Complex64>> {
     let [px, py] = scene.period_px.map(|p| p as f64);
     let table = |samples: usize| -> Vec<f64> {
         (0..=samples / 2).map(|n| spread.transform(n as f64 / samples as f64)).collect()
     };
     let (along_x, along_y) = (table(scene.samples[0]), table(scene.samples[1]));
-    frequencies
-        .iter()
-        .map(|nu| {
-            1.0 / (px * py * along_x[nu.x.unsigned_abs() as usize] * along_y[nu.y.unsigned_abs() as usize])
-        })
-        .collect()
+    let transform = |emitter: &Emitter| {
+        let at = |nu: &Frequency| {
+            let cycles = DVec2::new(f64::from(nu.x) / px, f64::from(nu.y) / py);
+            let spreading = along_x[nu.x.unsigned_abs() as usize] * along_y[nu.y.unsigned_abs() as usize];
+            pixel_transform(&emitter.rects, cycles) / (px * py * spreading)
+        };
+        frequencies.iter().map(at).collect()
+    };
+    emitters.iter().map(transform).collect()
 }
 
 /// Every basis kernel on the kept frequencies; kinds without cones are left out.

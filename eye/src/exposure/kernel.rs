@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::lowrank::compress;
 use super::polar::PolarShape;
-use super::spectral::{Absorbers, KINDS, Paths, Share};
+use super::spectral::{Absorbers, KINDS, Kind, Paths, Share};
 use super::transfer::{FieldPoint, transfer_table};
 use super::{codec, nodes};
 use crate::cone::pigment::Pigments;
@@ -29,6 +29,8 @@ const MAGIC: [u8; 8] = *b"PEkernl1";
 const APERTURE_UM: f64 = 2.0;
 /// µm of retina per unit tangent near the fovea, for that weight only.
 const UM_PER_TANGENT: f64 = 16_440.0;
+/// Tolerance of the basis for arriving photons over that for counts.
+const ARRIVING_TOLERANCE: f64 = 10.0;
 /// Weight of the mean light against all other frequencies in the basis.
 const MEAN_WEIGHT: f64 = 10.0;
 
@@ -156,9 +158,14 @@ impl KernelSpec {
         let kernels =
             self.kernels_by_place(&transfers.iter().map(|t| t.table.as_slice()).collect::<Vec<_>>(), paths)?;
         let weights = self.basis_weights();
-        let bases: Vec<_> =
-            kernels.par_iter().map(|places| compress(places, &weights, self.tolerance)).collect();
-        let basis_error = bases.iter().map(|b| b.error).fold(0.0, f64::max);
+        // Arriving photons enter the budget only, where places average out: a coarser basis will do.
+        let tolerance = |kind: usize| match KINDS[kind] {
+            Kind::Isomerized(_) => self.tolerance,
+            Kind::Arriving => ARRIVING_TOLERANCE * self.tolerance,
+        };
+        let compress = |(kind, places): (usize, &Vec<_>)| compress(places, &weights, tolerance(kind));
+        let bases: Vec<_> = kernels.par_iter().enumerate().map(compress).collect();
+        let basis_error = bases.iter().take(KINDS.len() - 1).map(|b| b.error).fold(0.0, f64::max);
         let samples = self.shape.len();
         let split = |kernel: &Vec<Complex64>| kernel.chunks(samples).map(<[Complex64]>::to_vec).collect();
         let tables = bases.iter().map(|b| b.kernels.iter().map(split).collect()).collect();

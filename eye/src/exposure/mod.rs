@@ -33,7 +33,7 @@ use crate::report::PhotonBudget;
 use crate::video::{Picture, draw};
 use budget::Ledger;
 use cones::ConeTable;
-use expected::{Expected, Means};
+use expected::{Expected, Means, Settings};
 use inputs::Inputs;
 use paper::Paper;
 use source::Projector;
@@ -89,17 +89,6 @@ pub struct Exposure {
     pattern: Option<Picture>,
 }
 
-/// Width of the spreading kernel, samples, for an accuracy target.
-fn spread_width(target: f64) -> usize {
-    if target >= 0.005 {
-        6
-    } else if target >= 5e-4 {
-        8
-    } else {
-        10
-    }
-}
-
 impl Exposure {
     /// Prepares a scene: `artifacts` are the bytes of the cones and of the kernels of a result tile, in the order of
     /// `Plan::tile_artifacts`.
@@ -113,9 +102,8 @@ impl Exposure {
         let ledger = Ledger::new(&inputs, experiment.gaze.center_px).map_err(model)?;
         let counter = match experiment.counts.engine {
             Engine::Expected => {
-                let width = spread_width(experiment.accuracy_target);
-                let scene = inputs.scene.clone();
-                Counter::Expected(Box::new(Expected::new(scene, &inputs.kernels, &cones, width)))
+                let settings = Settings::for_target(experiment.accuracy_target);
+                Counter::Expected(Box::new(Expected::new(&inputs, &cones, settings)))
             }
             Engine::Paper => Counter::Paper(Box::new(Paper::new(experiment, &inputs).map_err(model)?)),
         };

@@ -14,8 +14,6 @@ pub struct SourcePrimary {
     /// Mean photons into the pupil from each pixel of the window during the frame (as if all were at the gaze centre),
     /// `[row][column]`.
     pub light: Vec<f64>,
-    /// Rectangles in pixel units with their shares.
-    pub rects: Vec<([f64; 4], f64)>,
     /// Where the line of sight is when the light goes on and off, pixels (x right, y down) from the gaze centre.
     pub sight: [DVec2; 2],
 }
@@ -80,7 +78,7 @@ impl Projector {
                     DVec2::new(at.x, -at.y)
                 });
                 let light = self.drive(emitter, picture, scene).into_iter().map(|v| v * photons).collect();
-                SourcePrimary { light, rects: emitter.rects.clone(), sight }
+                SourcePrimary { light, sight }
             })
             .collect();
         Source { primaries }
@@ -88,19 +86,27 @@ impl Projector {
 }
 
 impl SourcePrimary {
-    /// Transform of the pixel's rectangles and of the movement, at cycles per pixel (y down): 1 at 0.
-    pub fn transform(&self, cycles: DVec2) -> Complex64 {
-        let turn = std::f64::consts::TAU;
-        let mut pixel = Complex64::ZERO;
-        for ([x0, y0, x1, y1], share) in &self.rects {
-            let centre = DVec2::new(0.5 * (x0 + x1), 0.5 * (y0 + y1));
-            let size = sinc(cycles.x * (x1 - x0)) * sinc(cycles.y * (y1 - y0));
-            pixel += Complex64::from_polar(share * size, -turn * cycles.dot(centre));
-        }
-        // A pixel at p is seen at p - sight, evenly between the two positions.
+    /// Transform of the movement at cycles per pixel (y down): 1 at 0. A pixel at p is seen at p - sight, evenly between the two
+    /// positions.
+    pub fn movement(&self, cycles: DVec2) -> Complex64 {
         let [from, to] = self.sight;
-        pixel * Complex64::from_polar(sinc(cycles.dot(to - from)), turn * cycles.dot(0.5 * (from + to)))
+        if from == DVec2::ZERO && to == DVec2::ZERO {
+            return Complex64::ONE;
+        }
+        let middle = std::f64::consts::TAU * cycles.dot(0.5 * (from + to));
+        Complex64::from_polar(sinc(cycles.dot(to - from)), middle)
     }
+}
+
+/// Transform of a pixel's rectangles at cycles per pixel (y down): 1 at 0.
+pub fn pixel_transform(rects: &[([f64; 4], f64)], cycles: DVec2) -> Complex64 {
+    let mut pixel = Complex64::ZERO;
+    for ([x0, y0, x1, y1], share) in rects {
+        let centre = DVec2::new(0.5 * (x0 + x1), 0.5 * (y0 + y1));
+        let size = sinc(cycles.x * (x1 - x0)) * sinc(cycles.y * (y1 - y0));
+        pixel += Complex64::from_polar(share * size, -std::f64::consts::TAU * cycles.dot(centre));
+    }
+    pixel
 }
 
 /// sin(πx)/(πx), an even function; its sign is kept by `from_polar` as a turn of π.
@@ -116,11 +122,8 @@ mod tests {
     /// The transform against a direct sum over the rectangle and the movement.
     #[test]
     fn transform_matches_the_integral() {
-        let primary = SourcePrimary {
-            light: Vec::new(),
-            rects: vec![([0.1, 0.2, 0.6, 0.9], 1.0)],
-            sight: [DVec2::new(0.3, -0.1), DVec2::new(1.1, 0.4)],
-        };
+        let primary =
+            SourcePrimary { light: Vec::new(), sight: [DVec2::new(0.3, -0.1), DVec2::new(1.1, 0.4)] };
         let cycles = DVec2::new(0.7, -1.3);
         let n = 60;
         let mut sum = Complex64::ZERO;
@@ -134,6 +137,11 @@ mod tests {
                 }
             }
         }
-        assert!((sum / (n * n * n) as f64 - primary.transform(cycles)).norm() < 2e-3);
+        assert!(
+            (sum / (n * n * n) as f64
+                - pixel_transform(&[([0.1, 0.2, 0.6, 0.9], 1.0)], cycles) * primary.movement(cycles))
+            .norm()
+                < 2e-3
+        );
     }
 }

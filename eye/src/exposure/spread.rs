@@ -8,6 +8,9 @@
 
 use glam::DVec2;
 
+/// Columns that are summed at a time.
+pub const LANES: usize = 4;
+
 /// The spreading kernel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
@@ -21,7 +24,7 @@ pub struct Spread {
 pub struct ConeWeights {
     /// First column and row, inside the grid; the stencil wraps around its edges.
     pub first: [u32; 2],
-    /// Columns and rows.
+    /// Columns (a multiple of [`LANES`], the last ones with weights of 0) and rows.
     pub size: [u32; 2],
     /// `[row][column]`.
     pub values: Vec<f32>,
@@ -67,12 +70,13 @@ impl Spread {
         let half = self.width as f64 / 2.0;
         let first = (min - half).ceil();
         let size = ((max + half).floor() - first + 1.0).max(DVec2::ZERO);
-        let (columns, rows) = (size.x as usize, size.y as usize);
+        let (used, rows) = (size.x as usize, size.y as usize);
+        let columns = used.next_multiple_of(LANES);
         let mut values = vec![0.0_f64; columns * rows];
         let mut across = vec![0.0; columns];
         for (at, area) in nodes {
             let start = ((at.x - half).ceil() - first.x) as usize;
-            let end = (start + self.width + 1).min(columns);
+            let end = (start + self.width + 1).min(used);
             for (i, value) in across.iter_mut().enumerate().take(end).skip(start) {
                 *value = area * self.value(first.x + i as f64 - at.x);
             }

@@ -6,9 +6,9 @@ use crate::exposure::KernelSpec;
 use crate::retina::density_per_mm2;
 
 /// CPU seconds per cone built, mosaic and cells.
-const SECONDS_PER_CONE: f64 = 10e-6;
+const SECONDS_PER_CONE: f64 = 11e-6;
 /// CPU seconds per transfer table (field node x wavelength) at 3 mm.
-const SECONDS_PER_TRANSFER: f64 = 8e-3;
+const SECONDS_PER_TRANSFER: f64 = 14e-3;
 /// CPU seconds per photon of the `paper` engine.
 const SECONDS_PER_PHOTON: f64 = 0.3e-6;
 /// CPU seconds per point spread of the `paper` engine, at 1024 rays and 128 x 128 samples.
@@ -16,7 +16,7 @@ const SECONDS_PER_SPREAD: f64 = 0.06;
 /// Basis images, about.
 const IMAGES: f64 = 12.0;
 /// CPU seconds per grid sample and basis image.
-const SECONDS_PER_SAMPLE: f64 = 25e-9;
+const SECONDS_PER_SAMPLE: f64 = 12e-9;
 
 /// A prediction.
 #[derive(Clone, Copy, Debug)]
