@@ -27,7 +27,7 @@ pub enum GridAxes {
     Retina,
 }
 
-/// Sample points of a point spread: square, row-major [i][j], sample centres at (i + ½ − n/2)·2·half_width/n.
+/// Sample points of a point spread: square, row-major `[i][j]`, sample centres at (i + ½ − n/2)·2·half_width/n.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PsfGrid {
     /// Samples along a side.
