@@ -19,7 +19,7 @@ pub fn estimate(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelength
         part("wavelength steps", 2e-4 * (wavelengths.step_nm / 10.0).powi(2)),
         part("wavelengths left out", wavelengths.outside),
         part("field interpolation", field),
-        part("low-rank kernels", super::BASIS_SHARE * target),
+        part("low-rank kernels", 0.02 * super::BASIS_SHARE * target),
         part("period", guard),
         part(
             "band limit",
