@@ -68,11 +68,15 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
         let allowed = format!("a scene of at most {MAX_GRID} grid samples a side, here it would be {samples}; give a smaller retina.region_deg or less movement");
         RangeError::new("retina.region_deg", "the scene", &allowed)
     })?;
-    let retina = retina_params(experiment, &projection)?;
+    let retina = retina_params(experiment, &prescription, &state)?;
     Ok(Setup { prescription, state, projection, gaze, region, scene, retina, guard_um })
 }
 
-fn retina_params(experiment: &Experiment, _projection: &Projection) -> Result<RetinaParams, PlanError> {
+fn retina_params(
+    experiment: &Experiment,
+    prescription: &Prescription,
+    state: &EyeState,
+) -> Result<RetinaParams, PlanError> {
     let params = RetinaParams {
         seed: experiment.retina.seed,
         generator: match experiment.retina.generator {
@@ -82,10 +86,31 @@ fn retina_params(experiment: &Experiment, _projection: &Projection) -> Result<Re
         cone_ratio: experiment.retina.cone_ratio,
         s_repulsion: S_REPULSION,
         pointing_sd_deg: experiment.eye.pointing_sd_deg,
-        geometry: RetinaGeometry::default(),
+        geometry: retina_geometry(prescription, state)?,
     };
     params.validate().map_err(|e| PlanError::Model(e.to_string()))?;
     Ok(params)
+}
+
+/// The retina's shape and the point that its cones aim at, from the unaccommodated eye: a mosaic depends on no display and no
+/// focus. Rounded (nm; 1e-9 degrees per µm), so that the key of a mosaic does not hang on the last bits of a trace.
+fn retina_geometry(prescription: &Prescription, state: &EyeState) -> Result<RetinaGeometry, PlanError> {
+    let model = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
+    let relaxed = EyeState { accommodation_a: 0.0, ..*state };
+    let eye = SchematicEye::new(prescription, &relaxed).map_err(model)?;
+    let fovea = eye.fovea();
+    let from_fovea = (eye.exit_pupil_centre() - fovea.position) * 1e3;
+    let round = |x: f64, unit: f64| (x / unit).round() * unit + 0.0;
+    let along = [fovea.nasal, fovea.superior, -fovea.outward].map(|axis| round(from_fovea.dot(axis), 1e-3));
+    let projection = Projection::new(&eye, f64::INFINITY).map_err(model)?;
+    let um_per_tangent =
+        projection.jacobian_um_per_tangent(DVec2::ZERO).map_err(model)?.determinant().abs().sqrt();
+    Ok(RetinaGeometry {
+        radius_um: round(fovea.radius_mm * 1e3, 1e-3),
+        exit_pupil_um: along,
+        visual_deg_per_um: round(1.0_f64.to_degrees() / um_per_tangent, 1e-9),
+        ..RetinaGeometry::default()
+    })
 }
 
 /// The prescription and the state in which it is focused as the experiment asks.
@@ -183,4 +208,27 @@ fn edge_points([a, b]: [DVec2; 2]) -> Vec<DVec2> {
         }
     }
     points
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The traced geometry of the default eye is the one that the mosaic has as its default.
+    #[test]
+    fn the_retina_aims_at_the_traced_exit_pupil() {
+        use crate::optics::{Dispersion, Side};
+        let prescription = Prescription::preset("escudero-sanz-navarro").unwrap();
+        for side in [Side::Right, Side::Left] {
+            let dispersion = Dispersion::Herzberger;
+            let state = EyeState { pupil_mm: 3.0, decentre_mm: 0.4, accommodation_a: 2.0, dispersion, side };
+            let traced = retina_geometry(&prescription, &state).unwrap();
+            let default = RetinaGeometry::default();
+            for axis in 0..3 {
+                let gap = traced.exit_pupil_um[axis] - default.exit_pupil_um[axis];
+                assert!(gap.abs() < 5.0, "{:?}", traced.exit_pupil_um);
+            }
+            assert!((traced.visual_deg_per_um * 287.0 - 1.0).abs() < 0.01, "{}", traced.visual_deg_per_um);
+        }
+    }
 }
