@@ -11,24 +11,26 @@
 //! The printed SCE-I factor depends on the cone's own pointing only; the part common to all cones, which other engines have as
 //! an apodization, is its mean here, so that engines can be compared.
 
+mod spread;
+
 use glam::DVec2;
 use rayon::prelude::*;
-use rustfft::num_complex::Complex64;
 
-use super::inputs::Inputs;
-use super::scene::Scene;
-use super::source::{Projector, relative_light};
-use super::spectral::{Absorbers, Paths};
 use crate::cone::ISOMERIZATION;
 use crate::cone::pigment::axial_density;
 use crate::display::Emitter;
 use crate::experiment::{Experiment, PaperSettings};
-use crate::optics::{Object, Projection, PupilBundle};
+use crate::exposure::inputs::Inputs;
+use crate::exposure::scene::Scene;
+use crate::exposure::source::{Projector, relative_light};
+use crate::exposure::spectral::{Absorbers, Paths};
+use crate::optics::Projection;
 use crate::report::PhotonBudget;
 use crate::retina::{ConeIndex, ConeType};
 use crate::rng::{Purpose, Stream};
 use crate::spectrum::MIN_NM;
 use crate::video::Picture;
+use spread::Spread;
 
 /// Spacing of wavelengths, nm.
 const CHANNEL_NM: f64 = 10.0;
@@ -39,13 +41,9 @@ const UM_PER_TANGENT: f64 = 16_440.0;
 /// Pixels in one piece of work.
 const CHUNK: usize = 64;
 
-/// One point spread.
-struct Table {
-    /// Cumulative probability, `[i][j]`, i along x_um.
-    cumulative: Vec<f32>,
-    /// Its values at the end of each row, so that a search first finds the row: fewer cache lines.
-    row_ends: Vec<f32>,
-    half_width_um: f64,
+/// The optics of one point of the screen in one channel.
+struct Node {
+    spread: Spread,
     /// Landing point of the chief ray, µm.
     landing_um: DVec2,
     /// Transmittance of cornea, lens and macula.
@@ -76,7 +74,7 @@ pub struct Paper {
     origin: DVec2,
     nodes: [usize; 2],
     /// `[node][channel]`.
-    tables: Vec<Vec<Option<Table>>>,
+    optics: Vec<Vec<Option<Node>>>,
     /// Cumulative share of each emitter's photons by channel.
     channels: Vec<Vec<f64>>,
     slant: Vec<f64>,
@@ -96,7 +94,7 @@ impl Paper {
     pub fn new(experiment: &Experiment, inputs: &Inputs) -> Result<Self, String> {
         let Inputs { retina, kernels, projection, scene, pointing, projector } = inputs;
         let absorbers = kernels.spec().absorbers()?;
-        let columns = super::cone_columns(experiment, retina)?;
+        let columns = crate::exposure::cone_columns(experiment, retina)?;
         let cones = (0..retina.len())
             .map(|i| {
                 let [px, py] = retina.pointing[i];
@@ -132,63 +130,42 @@ impl Paper {
             absorbers,
             origin,
             nodes,
-            tables: Vec::new(),
+            optics: Vec::new(),
             channels,
             slant: slants(projector, projection, scene),
         };
         let apodize = experiment.eye.stiles_crawford_rho10_per_mm2;
         let jobs: Vec<(usize, usize)> =
             (0..nodes[0] * nodes[1]).flat_map(|node| (0..CHANNELS).map(move |c| (node, c))).collect();
-        let tables: Vec<Option<Table>> = jobs
+        let optics: Vec<Option<Node>> = jobs
             .par_iter()
             .map(
                 |&(node, c)| {
-                    if used[c] { paper.table(projection, node, c, apodize).map(Some) } else { Ok(None) }
+                    if used[c] { paper.node(projection, node, c, apodize).map(Some) } else { Ok(None) }
                 },
             )
             .collect::<Result<_, String>>()?;
-        let mut tables = tables.into_iter();
-        paper.tables = (0..nodes[0] * nodes[1]).map(|_| tables.by_ref().take(CHANNELS).collect()).collect();
+        let mut optics = optics.into_iter();
+        paper.optics = (0..nodes[0] * nodes[1]).map(|_| optics.by_ref().take(CHANNELS).collect()).collect();
         Ok(paper)
     }
 
     /// The point spread of one node and channel.
-    fn table(&self, projection: &Projection, node: usize, channel: usize, rho: f64) -> Result<Table, String> {
+    fn node(&self, projection: &Projection, node: usize, channel: usize, rho: f64) -> Result<Node, String> {
         let step = self.settings.node_um / UM_PER_TANGENT;
-        let tangent =
-            self.origin + DVec2::new((node % self.nodes[0]) as f64, (node / self.nodes[0]) as f64) * step;
+        let place = DVec2::new((node % self.nodes[0]) as f64, (node / self.nodes[0]) as f64);
+        let tangent = self.origin + place * step;
         let nm = MIN_NM + CHANNEL_NM * channel as f64;
-        let object = projection.object(tangent);
-        let bundle = random_bundle(
-            projection,
-            object,
-            nm,
-            &self.settings,
-            self.seed,
-            (node * CHANNELS + channel) as u64,
-        )?;
-        let half_width_um = 0.5 * self.settings.window_um.max(spread_width_um(projection, &bundle));
-        let eye = projection.eye();
-        let entrance_mm = eye.stop_radius_mm() * eye.stop_magnification();
-        let amplitudes: Vec<f64> = bundle
-            .rays
-            .iter()
-            .map(|r| 10_f64.powf(-0.5 * rho * (r.stop * entrance_mm).length_squared()))
-            .collect();
-        let cumulative = cumulative(&bundle, &amplitudes, self.settings.samples as usize, half_width_um);
-        let row_ends =
-            cumulative.chunks_exact(self.settings.samples as usize).map(|row| row[row.len() - 1]).collect();
-        let ecc_deg = tangent.length().atan().to_degrees();
+        let mut rays = Stream::new(self.seed, Purpose::Rays, 0, (node * CHANNELS + channel) as u64);
+        let spread = Spread::new(projection, projection.object(tangent), nm, &self.settings, rho, &mut rays)?;
         let media = &self.absorbers.media;
-        Ok(Table {
-            cumulative,
-            row_ends,
-            half_width_um,
+        Ok(Node {
+            spread,
             landing_um: projection.retina_um(tangent, nm).map_err(|e| e.to_string())?,
             passed: [
                 media.cornea(nm, self.paths.cornea),
                 media.lens(nm, self.paths.lens),
-                media.macula(nm, ecc_deg),
+                media.macula(nm, tangent.length().atan().to_degrees()),
             ],
         })
     }
@@ -256,7 +233,7 @@ impl Paper {
         // Within a frame the movement is affine: orientation at a photon's time lies between those at on and off.
         let [on, off] =
             emitter.lit.map(|part| projector.gaze.screen_tangent((f64::from(index) + part) * seconds));
-        for _ in 0..super::poisson::from_stream(stream, mean) as u64 {
+        for _ in 0..crate::exposure::poisson::from_stream(stream, mean) as u64 {
             let place = Self::place(emitter, stream) + DVec2::new(column as f64, row as f64);
             let seen = self.scene.tangent(place) - on.lerp(off, stream.uniform());
             let uniform = stream.uniform();
@@ -295,11 +272,11 @@ impl Paper {
             (0, 1, (1.0 - t.x) * t.y),
             (1, 1, t.x * t.y),
         ] {
-            let Some(table) = &self.tables[(y + dy) * self.nodes[0] + x + dx][channel] else {
+            let Some(node) = &self.optics[(y + dy) * self.nodes[0] + x + dx][channel] else {
                 return;
             };
-            centre += weight * table.landing_um;
-            (0..3).for_each(|i| passed[i] += weight * table.passed[i]);
+            centre += weight * node.landing_um;
+            (0..3).for_each(|i| passed[i] += weight * node.passed[i]);
         }
         // The filters before the retina.
         for (fate, share) in [&mut tally.budget.cornea, &mut tally.budget.lens, &mut tally.budget.macula]
@@ -313,10 +290,10 @@ impl Paper {
         }
         // The landing point, from the nearest node's spread.
         let near = (y + usize::from(t.y > 0.5)) * self.nodes[0] + x + usize::from(t.x > 0.5);
-        let Some(table) = &self.tables[near][channel] else {
+        let Some(node) = &self.optics[near][channel] else {
             return;
         };
-        let landed = centre + table.draw(stream.uniform(), self.settings.samples as usize);
+        let landed = centre + node.spread.draw(stream.uniform());
         self.cone(landed, channel, stream, tally);
     }
 
@@ -340,19 +317,6 @@ impl Paper {
             tally.counts[owner as usize] = tally.counts[owner as usize].saturating_add(1);
             tally.budget.isomerized[cone.cone_type as usize] += 1.0;
         }
-    }
-}
-
-impl Table {
-    /// The landing offset for a uniform number, µm.
-    fn draw(&self, uniform: f64, samples: usize) -> DVec2 {
-        let above = |c: &f32| f64::from(*c) <= uniform;
-        let row = self.row_ends.partition_point(above).min(samples - 1);
-        let line = &self.cumulative[row * samples..(row + 1) * samples];
-        let column = line.partition_point(above).min(samples - 1);
-        let pitch = 2.0 * self.half_width_um / samples as f64;
-        let offset = |i: usize| (i as f64 + 0.5) * pitch - self.half_width_um;
-        DVec2::new(offset(row), offset(column))
     }
 }
 
@@ -384,74 +348,12 @@ fn slants(projector: &Projector, projection: &Projection, scene: &Scene) -> Vec<
     for row in 0..height {
         for column in 0..width {
             let tangent = scene.tangent(DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5));
-            slants.push(super::cones::slant_factor(projector.display.emission_law, projection, tangent));
+            slants.push(crate::exposure::cones::slant_factor(
+                projector.display.emission_law,
+                projection,
+                tangent,
+            ));
         }
     }
     slants
-}
-
-/// Randomly perturbed rays through the stop: one in each cell of a square lattice of k x k <= `rays` cells, which is wrapped onto
-/// the disc without changing areas (Shirley & Chiu 1997).
-fn random_bundle(
-    projection: &Projection,
-    object: Object,
-    nm: f64,
-    settings: &PaperSettings,
-    seed: u64,
-    item: u64,
-) -> Result<PupilBundle, String> {
-    let mut stream = Stream::new(seed, Purpose::Rays, 0, item);
-    let side = f64::from(settings.rays).sqrt().floor() as u32;
-    let points: Vec<(DVec2, f64)> = (0..side * side)
-        .map(|cell| {
-            let corner = DVec2::new(f64::from(cell % side), f64::from(cell / side));
-            let place = corner + DVec2::new(stream.uniform(), stream.uniform());
-            (concentric(place * (2.0 / f64::from(side)) - 1.0), 1.0)
-        })
-        .collect();
-    PupilBundle::trace_points(projection.eye(), object, nm, &points, &[]).map_err(|e| e.to_string())
-}
-
-/// The square [-1, 1]² onto the unit disc, squares onto circles.
-fn concentric(p: DVec2) -> DVec2 {
-    if p.x.abs() > p.y.abs() {
-        DVec2::from_angle(std::f64::consts::FRAC_PI_4 * p.y / p.x) * p.x
-    } else if p.y.abs() > 0.0 {
-        DVec2::from_angle(std::f64::consts::FRAC_PI_2 - std::f64::consts::FRAC_PI_4 * p.x / p.y) * p.y
-    } else {
-        DVec2::ZERO
-    }
-}
-
-/// Width of the square around the landing point that holds where all rays land, µm.
-fn spread_width_um(projection: &Projection, bundle: &PupilBundle) -> f64 {
-    let fovea = projection.eye().fovea();
-    let centre = fovea.um_from_point(bundle.landing);
-    let far = bundle.rays.iter().map(|r| (fovea.um_from_point(r.landing) - centre).abs().max_element());
-    2.0 * far.fold(0.0, f64::max)
-}
-
-/// Cumulative table of the point spread: squared modulus of the sum of all rays' phases, a product of two small matrices.
-fn cumulative(bundle: &PupilBundle, amplitudes: &[f64], samples: usize, half_width_um: f64) -> Vec<f32> {
-    let wavelength_um = bundle.wavelength_mm() * 1e3;
-    let pitch = 2.0 * half_width_um / samples as f64;
-    let turn = std::f64::consts::TAU / wavelength_um;
-    let offset = |i: usize| (i as f64 + 0.5) * pitch - half_width_um;
-    let mut field = vec![Complex64::ZERO; samples * samples];
-    for (ray, amplitude) in bundle.rays.iter().zip(amplitudes) {
-        let wave = |q: f64| (0..samples).map(|i| Complex64::cis(-turn * q * offset(i))).collect::<Vec<_>>();
-        let (along_x, along_y) = (wave(ray.q.x), wave(ray.q.y));
-        let start = Complex64::from_polar(*amplitude, turn * ray.opd_mm * 1e3);
-        for (line, x) in field.chunks_exact_mut(samples).zip(&along_x) {
-            let x = start * x;
-            line.iter_mut().zip(&along_y).for_each(|(f, y)| *f += x * y);
-        }
-    }
-    let total: f64 = field.iter().map(Complex64::norm_sqr).sum();
-    let mut sum = 0.0;
-    let add = |f: &Complex64| {
-        sum += f.norm_sqr();
-        (sum / total) as f32
-    };
-    field.iter().map(add).collect()
 }
