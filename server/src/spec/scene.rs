@@ -85,15 +85,20 @@ pub fn gaze(spec: Option<&v1::Gaze>, display: &Display) -> Result<Gaze, FieldErr
         numbers("gaze.center_px", center)?
     };
     let movement = match spec.and_then(|spec| spec.movement.as_ref()) {
-        None => Movement::Still,
+        None => drift(&movement::Drift::default()),
         Some(spec) => match &spec.kind {
             Some(movement::Kind::Still(_)) => Movement::Still,
-            Some(movement::Kind::Drift(drift)) => Movement::Drift {
-                speed_arcmin_per_s: number(drift.speed_arcmin_per_s, 6.0),
-                direction_deg: number(drift.direction_deg, 30.0),
-            },
+            Some(movement::Kind::Drift(spec)) => drift(spec),
             None => return Err(empty_choice("gaze.movement", &["drift", "still"])),
         },
     };
     Ok(Gaze { center_px, movement })
+}
+
+/// A drift; what is not given is the paper's default of §11.
+fn drift(spec: &movement::Drift) -> Movement {
+    Movement::Drift {
+        speed_arcmin_per_s: number(spec.speed_arcmin_per_s, 6.0),
+        direction_deg: number(spec.direction_deg, 30.0),
+    }
 }
