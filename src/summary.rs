@@ -82,7 +82,10 @@ fn seconds(text: &mut String, report: &Value) {
     let seconds = |value: &Value| value.as_f64().unwrap_or(0.0);
     let total: f64 = stages.values().map(seconds).sum();
     let wall = seconds(&report["wall_seconds"]);
-    let _ = writeln!(text, "Time          {wall:.2} s from start to end, {total:.2} s of work");
+    let _ = writeln!(
+        text,
+        "Time          {wall:.2} s from start to end; work, cached parts included, {total:.2} s:"
+    );
     for (stage, value) in stages {
         let _ = writeln!(text, "              {:>6.2} s {stage}", seconds(value));
     }

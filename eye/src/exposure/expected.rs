@@ -155,14 +155,13 @@ impl Expected {
     fn drive(&self, source: &Source) -> Vec<Vec<Complex64>> {
         let [px, py] = self.scene.period_px;
         let size = self.scene.size_px.map(|s| s as usize);
-        let wrap = |at: i32, n: usize| at.rem_euclid(n as i32) as usize;
         let sent = |(primary, pixel): (&SourcePrimary, &Vec<Complex64>)| {
-            let spectrum = picture_spectrum(&primary.light, size, [px, py]);
-            let at = |(nu, pixel): (&Frequency, &Complex64)| {
+            let spectrum = picture_spectrum(&primary.light, size, [px, py], &self.frequencies);
+            let at = |((nu, pixel), light): ((&Frequency, &Complex64), &Complex64)| {
                 let cycles = DVec2::new(f64::from(nu.x) / px as f64, f64::from(nu.y) / py as f64);
-                spectrum[wrap(nu.y, py) * px + wrap(nu.x, px)] * pixel * primary.movement(cycles)
+                light * pixel * primary.movement(cycles)
             };
-            self.frequencies.par_iter().zip(pixel).with_min_len(4096).map(at).collect()
+            self.frequencies.par_iter().zip(pixel).zip(&spectrum).with_min_len(4096).map(at).collect()
         };
         source.primaries.iter().zip(&self.pixels).map(sent).collect()
     }

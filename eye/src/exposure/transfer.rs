@@ -76,8 +76,9 @@ pub fn transfer_table(
         Wavefront::new(projection.eye(), point.object, nm, &options).map_err(|e| e.to_string())?;
     let otf = Otf::new(&wavefront);
     let landing = projection.retina_um(point.tangent, nm).map_err(|e| e.to_string())?;
-    // Cycles of the spread's edge within the band limit decide how finely the transfer oscillates.
-    let cycles = spot_radius_um(&wavefront) * otf.cutoff(0.0);
+    // Cycles of the spread's edge within the frequencies that are kept decide how finely the transfer oscillates.
+    let kept = shape.radius * (point.frequency_map * DVec2::X).length();
+    let cycles = spot_radius_um(&wavefront) * otf.cutoff(0.0).min(kept);
     let radial = MIN_RADIAL + (2.5 * cycles).ceil() as usize;
     let azimuthal = MIN_AZIMUTHAL + (2.0 * cycles).ceil() as usize;
     let directions: Vec<Vec<Complex64>> = (0..azimuthal)
@@ -108,9 +109,12 @@ fn spot_radius_um(wavefront: &Wavefront) -> f64 {
 fn along(otf: &Otf, unit: DVec2, points: usize, shape: PolarShape) -> Vec<Complex64> {
     let direction = unit.y.atan2(unit.x);
     let cutoff = otf.cutoff(direction);
+    // u = 1 is the cutoff, or the last radius of the table when that comes first.
+    let kept = shape.radius * unit.length();
+    let last_u = if kept < cutoff { 1.0 - (1.0 - kept / cutoff).sqrt() } else { 1.0 };
     let last = (points - 1) as f64;
-    let us: Vec<f64> =
-        (0..points).map(|i| 0.5 * (1.0 - (std::f64::consts::PI * i as f64 / last).cos())).collect();
+    let chebyshev = |i: usize| 0.5 * last_u * (1.0 - (std::f64::consts::PI * i as f64 / last).cos());
+    let us: Vec<f64> = (0..points).map(chebyshev).collect();
     let nus: Vec<f64> = us.iter().map(|u| cutoff * (1.0 - (1.0 - u) * (1.0 - u))).collect();
     let values = otf.radial(direction, &nus);
     let step = shape.radius / (shape.radial - 1) as f64 * unit.length() / cutoff;

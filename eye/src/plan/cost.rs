@@ -8,7 +8,7 @@ use crate::retina::density_per_mm2;
 /// CPU seconds per cone built, mosaic and cells.
 const SECONDS_PER_CONE: f64 = 11e-6;
 /// CPU seconds per transfer table (field node x wavelength) at 3 mm.
-const SECONDS_PER_TRANSFER: f64 = 14e-3;
+const SECONDS_PER_TRANSFER: f64 = 9e-3;
 /// CPU seconds per photon of the `paper` engine.
 const SECONDS_PER_PHOTON: f64 = 0.3e-6;
 /// CPU seconds per point spread of the `paper` engine, at 1024 rays and 128 x 128 samples.
@@ -49,7 +49,8 @@ pub fn predict(experiment: &Experiment, setup: &Setup, kernels: &KernelSpec) -> 
     let pupil = (experiment.eye.pupil_mm / 3.0).max(0.5);
     let transfers =
         f64::from(kernels.field_nodes[0] * kernels.field_nodes[1]) * kernels.nodes_nm.len() as f64;
-    let kernel_seconds = transfers * SECONDS_PER_TRANSFER * pupil * pupil;
+    // Aberrations grow with the third power of the pupil, and both directions of a table with them.
+    let kernel_seconds = transfers * SECONDS_PER_TRANSFER * pupil.powi(5).max(0.5);
     let samples = setup.scene.samples.iter().product::<usize>() as f64;
     let frames = f64::from(experiment.frames);
     let frame_seconds = match experiment.counts.engine {

@@ -240,7 +240,7 @@ fn kernel_spec(experiment: &Experiment, setup: &Setup, nodes_nm: Vec<f64>) -> Ke
         stiles_crawford_rho10_per_mm2: experiment.eye.stiles_crawford_rho10_per_mm2,
         tolerance: BASIS_SHARE * experiment.accuracy_target,
         shape: PolarShape {
-            radius: setup::cutoff(experiment),
+            radius: setup.scene.band,
             radial: (256.0 * scale) as usize,
             azimuthal: (96.0 * scale) as usize,
         },
