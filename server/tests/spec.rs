@@ -30,7 +30,7 @@ fn with(part: &str, value: Value) -> Value {
 fn defaults_are_filled_in() {
     let read = read(&with("eye", json!({}))).unwrap();
     assert_eq!((read.eye.pupil_mm.to_bits(), read.retina.seed, read.frames), (3.0_f64.to_bits(), 1, 1));
-    assert_eq!(read.gaze.movement, Movement::Drift { speed_arcmin_per_s: 6.0, direction_deg: 30.0 });
+    assert_eq!(read.gaze.movement, Movement::Still);
     assert_eq!(read.gaze.center_px, [15.0, 15.0]);
     assert!((read.eye.focus_distance_cm - 800.0).abs() < 1e-9, "the display's distance");
     assert_eq!(read.display.primaries.len(), 3);

@@ -85,7 +85,7 @@ pub fn gaze(spec: Option<&v1::Gaze>, display: &Display) -> Result<Gaze, FieldErr
         numbers("gaze.center_px", center)?
     };
     let movement = match spec.and_then(|spec| spec.movement.as_ref()) {
-        None => drift(&movement::Drift::default()),
+        None => Movement::Still,
         Some(spec) => match &spec.kind {
             Some(movement::Kind::Still(_)) => Movement::Still,
             Some(movement::Kind::Drift(spec)) => drift(spec),
