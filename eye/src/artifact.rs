@@ -15,7 +15,7 @@ pub enum ArtifactSpec {
     /// A square of the mosaic.
     RetinaTile {
         /// How the mosaic grows.
-        params: RetinaParams,
+        params: Box<RetinaParams>,
         /// Which square.
         tile: TileId,
     },
@@ -70,7 +70,8 @@ impl ArtifactSpec {
     /// Rises whenever the same inputs give other bytes.
     fn version(&self) -> u32 {
         match self {
-            Self::RetinaTile { .. } | Self::Cones { .. } | Self::Kernels(_) => 1,
+            Self::RetinaTile { .. } => 2,
+            Self::Cones { .. } | Self::Kernels(_) => 1,
         }
     }
 

@@ -7,6 +7,7 @@ pub mod digest;
 pub mod display;
 pub mod experiment;
 pub mod exposure;
+pub mod math;
 pub mod media;
 pub mod movement;
 pub mod optics;

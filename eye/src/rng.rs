@@ -4,6 +4,8 @@
 
 use rand::rand_core::{Infallible, TryRng};
 
+use crate::math;
+
 /// What a stream is for; streams of different purposes are independent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
@@ -24,6 +26,8 @@ pub enum Purpose {
     Movement = 7,
     /// Samples drawn by tests and studies.
     Study = 8,
+    /// Cones lost at random.
+    Dropout = 9,
 }
 
 const MUL: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
@@ -90,9 +94,9 @@ impl Stream {
     /// Two independent standard normal numbers (Box-Muller).
     pub fn normal_pair(&mut self) -> (f64, f64) {
         // 1 - u is in (0, 1], so the logarithm is finite.
-        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-        let angle = std::f64::consts::TAU * self.uniform();
-        (radius * angle.cos(), radius * angle.sin())
+        let radius = (-2.0 * math::ln(1.0 - self.uniform())).sqrt();
+        let (sin, cos) = math::sin_cos(std::f64::consts::TAU * self.uniform());
+        (radius * cos, radius * sin)
     }
 }
 

@@ -41,7 +41,7 @@ pub fn run(context: &Context, args: &RetinaArgs) -> Result<(), Failure> {
     }
     let experiment = experiment(args)?;
     let setup = setup(&experiment).map_err(Failure::usage)?;
-    let scale = setup.retina.geometry.visual_deg_per_um;
+    let scale = setup.retina.geometry.visual.deg_per_um();
     let traced = args.to_deg <= TRACED_DEG;
     let region = if traced { traced_region(&setup, args.to_deg)? } else { square(args.to_deg / scale) };
     let retina = build_region(&setup.retina, &region).map_err(Failure::usage)?;

@@ -3,7 +3,7 @@
 use super::setup::Setup;
 use crate::experiment::{Engine, Experiment};
 use crate::exposure::KernelSpec;
-use crate::retina::density_per_mm2;
+use crate::retina::Density;
 
 /// CPU seconds per cone built, mosaic and cells.
 const SECONDS_PER_CONE: f64 = 11e-6;
@@ -84,13 +84,14 @@ pub fn predict(experiment: &Experiment, setup: &Setup, kernels: &KernelSpec) -> 
 /// Cones in the patch: the target density summed over a grid of 40 x 40 points.
 fn cones_in(setup: &Setup) -> f64 {
     const STEPS: u32 = 40;
+    let target = Density::new(&setup.retina);
     let size = setup.region.max - setup.region.min;
     let mut density = 0.0;
     for i in 0..STEPS {
         for j in 0..STEPS {
             let part = glam::DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5) / f64::from(STEPS);
             let at = setup.region.min + size * part;
-            density += density_per_mm2(&setup.retina, at.x, at.y);
+            density += target.per_mm2(at);
         }
     }
     density / f64::from(STEPS * STEPS) * size.x * size.y * 1e-6

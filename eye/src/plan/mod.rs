@@ -186,7 +186,7 @@ fn artifacts(
     let mut artifacts = tiles
         .into_iter()
         .map(|tile| {
-            let spec = ArtifactSpec::RetinaTile { params: setup.retina.clone(), tile };
+            let spec = ArtifactSpec::RetinaTile { params: Box::new(setup.retina.clone()), tile };
             planned(spec, cost.tiles_seconds / count, cost.tiles_bytes / count)
         })
         .collect::<Result<Vec<_>, _>>()?;

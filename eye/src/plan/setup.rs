@@ -9,7 +9,7 @@ use crate::experiment::{Experiment, MAX_REGION_DEG, RangeError};
 use crate::exposure::scene::{MAX_GRID, Scene, SceneNeeds};
 use crate::movement::Gaze;
 use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
-use crate::retina::{Generator, RegionUm, RetinaGeometry, RetinaParams};
+use crate::retina::{DensityLaw, ExitPupil, Generator, RegionUm, RetinaGeometry, RetinaParams, VisualMap};
 
 /// Retina beyond the picture's edge that is simulated because the picture's blur falls on it, µm.
 const MARGIN_UM: f64 = 75.0;
@@ -82,11 +82,13 @@ fn retina_params(
         generator: match experiment.retina.generator {
             crate::experiment::Generator::Domain => Generator::Domain,
         },
+        density: DensityLaw::Curcio,
         peak_density_per_mm2: experiment.retina.peak_density_per_mm2,
         cone_ratio: experiment.retina.cone_ratio,
         s_repulsion: S_REPULSION,
         pointing_sd_deg: experiment.eye.pointing_sd_deg,
         geometry: retina_geometry(prescription, state)?,
+        ..RetinaParams::default()
     };
     params.validate().map_err(|e| PlanError::Model(e.to_string()))?;
     Ok(params)
@@ -107,8 +109,11 @@ fn retina_geometry(prescription: &Prescription, state: &EyeState) -> Result<Reti
         projection.jacobian_um_per_tangent(DVec2::ZERO).map_err(model)?.determinant().abs().sqrt();
     Ok(RetinaGeometry {
         radius_um: round(fovea.radius_mm * 1e3, 1e-3),
-        exit_pupil_um: along,
-        visual_deg_per_um: round(1.0_f64.to_degrees() / um_per_tangent, 1e-9),
+        exit_pupil: ExitPupil {
+            at_um: [along, [0.0; 3], [0.0; 3], [0.0; 3]],
+            ..RetinaGeometry::default().exit_pupil
+        },
+        visual: VisualMap::linear(round(1.0_f64.to_degrees() / um_per_tangent, 1e-9)),
         ..RetinaGeometry::default()
     })
 }
@@ -225,10 +230,10 @@ mod tests {
             let traced = retina_geometry(&prescription, &state).unwrap();
             let default = RetinaGeometry::default();
             for axis in 0..3 {
-                let gap = traced.exit_pupil_um[axis] - default.exit_pupil_um[axis];
-                assert!(gap.abs() < 5.0, "{:?}", traced.exit_pupil_um);
+                let gap = traced.exit_pupil.at_um[0][axis] - default.exit_pupil.at_um[0][axis];
+                assert!(gap.abs() < 5.0, "{:?}", traced.exit_pupil);
             }
-            assert!((traced.visual_deg_per_um * 287.0 - 1.0).abs() < 0.01, "{}", traced.visual_deg_per_um);
+            assert!((traced.visual.deg_per_um() * 287.0 - 1.0).abs() < 0.01, "{:?}", traced.visual);
         }
     }
 }

@@ -2,6 +2,8 @@
 
 use glam::DVec2;
 
+use crate::math;
+
 /// Label of an edge that no cut made.
 pub(super) const LIMIT: u32 = u32::MAX;
 
@@ -56,7 +58,7 @@ impl Convex {
 
 /// Unit vectors of a regular polygon.
 pub(super) fn directions(n: usize) -> Vec<DVec2> {
-    (0..n).map(|i| DVec2::from_angle(std::f64::consts::TAU * (i as f64 + 0.5) / n as f64)).collect()
+    (0..n).map(|i| math::unit(std::f64::consts::TAU * (i as f64 + 0.5) / n as f64)).collect()
 }
 
 /// Area of a counter-clockwise polygon.

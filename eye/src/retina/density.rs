@@ -11,16 +11,26 @@
 //! Coverage. Share of the cell that an inner segment fills: diameters read from the micrographs of Curcio et al. 1990 (π/4·d²·density,
 //! table below), 1 where there are no rods, monotone cubic in eccentricity.
 //!
+//! `Tyler`: 50,000·v^(-2/3) cones/mm² for v visual degrees from 1 to 20, then linear in v to the value at the ora; Curcio's table inside 1°
+//! (mixed in from 0.75° to 1.25°) and Curcio's change by meridian, which fades from 20° to the ora. These are cones/mm² on the 12 mm sphere, as in the paper.
+//!
+//! A wished total of cones scales the density by 1 + (k - 1)·(1 - exp(-(θ/3°)²)): the fovea stays, k follows from the integral.
+//!
+//! The ora lies at `ora_retinal_deg`·(1 - `ora_dip`·cos φ): nearer on the nasal side (§13).
+//!
 //! # As printed
-//! Equation (1) gives 2.24e6 cones/mm² at 1°: θ there is in µm at 300 µm per degree. It is not used.
+//! Equation (1) gives 2.24e6 cones/mm² at 1°: θ there is in µm at 300 µm per degree; with θ in degrees and no 300 it gives 50,000, which
+//! meets Curcio's 50,700 (on 12 mm).
 //!
 //! # Cost
-//! `Density::new` reads the table; `per_mm2` is two cubics and two exponentials.
+//! `Density::new` reads the table, and integrates over the retina (2 ms) when a total is wished; `per_mm2` is two cubics and two
+//! exponentials, with `Tyler` six times that.
 
 use glam::DVec2;
 
-use super::params::RetinaParams;
-use crate::catalog;
+use super::params::{DensityLaw, OpticDisc, RetinaParams};
+use super::visual::VisualMap;
+use crate::{catalog, math};
 
 /// Radius of the sphere that Curcio's table is scaled to, µm.
 const CURCIO_RADIUS_UM: f64 = 11_402.0;
@@ -36,8 +46,13 @@ const COVERAGE: [(f64, f64); 7] = [
     (8_000.0, 0.268),
     (16_000.0, 0.204),
 ];
-/// No S cones inside this eccentricity, and their full share from the second on, visual degrees (§13).
-const S_RAMP_DEG: [f64; 2] = [0.175, 1.5];
+/// Visual degrees between which Curcio's fovea goes over to Tyler's law, and the last of the power law.
+const TYLER_FROM_DEG: [f64; 2] = [0.75, 1.25];
+const TYLER_TO_DEG: f64 = 20.0;
+/// Tyler's density at 1 visual degree, cones/mm², and its exponent.
+const TYLER: (f64, f64) = (50_000.0, -2.0 / 3.0);
+/// Retinal degrees from which a wished total of cones acts.
+const TOTAL_FROM_DEG: f64 = 3.0;
 
 /// A monotone cubic through points with ascending abscissae; constant outside.
 #[derive(Clone, Debug, Default)]
@@ -101,13 +116,20 @@ pub struct Density {
     /// ln(cones/mm²) over retinal degrees: nasal, superior, temporal, inferior.
     meridian: [Cubic; 4],
     coverage: Cubic,
+    law: DensityLaw,
     peak_excess: f64,
     scale: f64,
+    radius_um: f64,
     deg_per_um: f64,
     ora_deg: f64,
+    ora_dip: f64,
     ora_end: f64,
-    visual_deg_per_um: f64,
+    visual: VisualMap,
     s_share: f64,
+    s_ramp_deg: [f64; 2],
+    /// k - 1 of a wished total.
+    periphery_excess: f64,
+    optic_disc: Option<OpticDisc>,
 }
 
 impl Density {
@@ -115,17 +137,56 @@ impl Density {
     pub fn new(p: &RetinaParams) -> Self {
         let text = catalog::text("spectra", "cone-density-curcio").unwrap_or_default();
         let g = &p.geometry;
-        Self {
+        let mut density = Self {
             meridian: [1, 2, 3, 4].map(|column| Cubic::new(&column_of(text, column))),
             coverage: Cubic::new(&COVERAGE),
+            law: p.density,
             peak_excess: p.peak_density_per_mm2 / CURCIO_PEAK - 1.0,
             scale: (CURCIO_RADIUS_UM / g.radius_um).powi(2),
+            radius_um: g.radius_um,
             deg_per_um: (1.0 / g.radius_um).to_degrees(),
             ora_deg: g.ora_retinal_deg,
+            ora_dip: g.ora_dip,
             ora_end: g.ora_density_per_mm2,
-            visual_deg_per_um: g.visual_deg_per_um,
+            visual: g.visual.clone(),
             s_share: p.cone_ratio[2],
+            s_ramp_deg: p.s_ramp_deg,
+            periphery_excess: 0.0,
+            optic_disc: p.optic_disc,
+        };
+        if let Some(total) = p.total_cones {
+            let [all, scaled] = density.integrals();
+            density.periphery_excess = (total - all) / scaled;
         }
+        density
+    }
+
+    /// ∫ density and ∫ density·(share that a wished total scales) over the retina without its optic disc, cones.
+    fn integrals(&self) -> [f64; 2] {
+        const MERIDIANS: u32 = 72;
+        const STEP_DEG: f64 = 0.2;
+        let mut sums = [0.0; 2];
+        let rings = (self.ora_deg * (1.0 + self.ora_dip) / STEP_DEG).ceil() as u32;
+        for ring in 0..rings {
+            let deg = (f64::from(ring) + 0.5) * STEP_DEG;
+            let (sin, _) = math::sin_cos(deg.to_radians());
+            let turn = std::f64::consts::TAU / f64::from(MERIDIANS);
+            let area_mm2 = sin * STEP_DEG.to_radians() * turn * (1e-3 * self.radius_um).powi(2);
+            for m in 0..MERIDIANS {
+                let at = math::unit(turn * (f64::from(m) + 0.5)) * (deg / self.deg_per_um);
+                if self.is_retina(at) {
+                    let cones = self.per_mm2(at) * area_mm2;
+                    sums[0] += cones;
+                    sums[1] += cones * periphery(deg);
+                }
+            }
+        }
+        sums
+    }
+
+    /// Eccentricity of the ora in a direction of which the cosine with the nasal one is given, retinal degrees.
+    fn ora_at(&self, cos_nasal: f64) -> f64 {
+        self.ora_deg * (1.0 - self.ora_dip * cos_nasal)
     }
 
     /// ln density along one meridian, on Curcio's scale.
@@ -135,20 +196,58 @@ impl Density {
         if deg <= end {
             return curve.at(deg);
         }
-        let last = curve.at(end).exp();
-        let t = ((deg - end) / (self.ora_deg - end).max(1.0)).min(1.0);
-        (last + t * (self.ora_end - last)).ln()
+        let last = math::exp(curve.at(end));
+        let ora = self.ora_at([1.0, 0.0, -1.0, 0.0][meridian]);
+        let t = ((deg - end) / (ora - end).max(1.0)).min(1.0);
+        math::ln(last + t * (self.ora_end - last))
+    }
+
+    /// ln density of Tyler's law at a place, given that of Curcio's there and its mean over the meridians.
+    fn tyler(&self, at_um: DVec2, cos_nasal: f64, here: f64, mean: f64) -> f64 {
+        let v = self.visual.eccentricity_deg(at_um);
+        let [from, to] = TYLER_FROM_DEG;
+        if v <= from {
+            return here;
+        }
+        let (at_one, exponent) = TYLER;
+        let law = |v: f64| at_one * math::pow(v, exponent);
+        let (value, fade) = if v <= TYLER_TO_DEG {
+            (law(v), 0.0)
+        } else {
+            let edge = at_um * (self.ora_at(cos_nasal) / self.deg_per_um / at_um.length());
+            let last = self.visual.eccentricity_deg(edge).max(TYLER_TO_DEG + 1.0);
+            let t = ((v - TYLER_TO_DEG) / (last - TYLER_TO_DEG)).min(1.0);
+            (law(TYLER_TO_DEG) + t * (self.ora_end - law(TYLER_TO_DEG)), t)
+        };
+        let tyler = math::ln(value) + (1.0 - fade) * (here - mean);
+        let t = ((v - from) / (to - from)).min(1.0);
+        here + t * t * (3.0 - 2.0 * t) * (tyler - here)
     }
 
     /// Target density at a point of the chart, cones per mm² of retina.
     pub fn per_mm2(&self, at_um: DVec2) -> f64 {
-        let rho2 = at_um.length_squared();
-        let deg = rho2.sqrt() * self.deg_per_um;
+        let rho = at_um.length();
+        let deg = rho * self.deg_per_um;
+        let cos = if rho > 0.0 { at_um.x / rho } else { 1.0 };
         let horizontal = self.along(if at_um.x < 0.0 { 2 } else { 0 }, deg);
         let vertical = self.along(if at_um.y < 0.0 { 3 } else { 1 }, deg);
-        let cos2 = if rho2 > 0.0 { at_um.x * at_um.x / rho2 } else { 1.0 };
-        let table = (cos2 * horizontal + (1.0 - cos2) * vertical).exp();
-        self.scale * table * (1.0 + self.peak_excess * (-deg * deg).exp())
+        let mut table = cos * cos * horizontal + (1.0 - cos * cos) * vertical;
+        if self.law == DensityLaw::Tyler {
+            // Tyler's figures are for the 12 mm sphere, the table's for its own.
+            let scale = math::ln(self.scale);
+            let mean = (0..4).map(|m| self.along(m, deg)).sum::<f64>() / 4.0;
+            table = self.tyler(at_um, cos, table + scale, mean + scale) - scale;
+        }
+        let mut density = self.scale * math::exp(table);
+        // exp(-deg²) is below 1e-16 from 6.1° on.
+        if deg < 6.1 {
+            density *= 1.0 + self.peak_excess * math::exp(-deg * deg);
+        }
+        if self.periphery_excess == 0.0 {
+            density
+        } else {
+            density * (1.0 + self.periphery_excess * periphery(deg))
+        }
     }
 
     /// Share of its cell that a cone's light-collecting aperture fills, 0 to 1.
@@ -157,22 +256,42 @@ impl Density {
         self.coverage.at(arc_on_source).min(1.0)
     }
 
-    /// Share of S cones: 0 inside 0.175 visual degrees, linear to the full share at 1.5.
+    /// Share of S cones: 0 inside the first eccentricity of the ramp (0.175 visual degrees), linear to the full share at the second (1.5).
     pub fn s_share(&self, at_um: DVec2) -> f64 {
-        let deg = at_um.length() * self.visual_deg_per_um;
-        let [from, to] = S_RAMP_DEG;
-        self.s_share * ((deg - from) / (to - from)).clamp(0.0, 1.0)
+        let [from, to] = self.s_ramp_deg;
+        self.s_share * ((self.visual_deg(at_um) - from) / (to - from)).clamp(0.0, 1.0)
     }
 
-    /// Eccentricity of a point, visual degrees (with the constant of the fovea).
+    /// Eccentricity of a point, visual degrees.
     pub fn visual_deg(&self, at_um: DVec2) -> f64 {
-        at_um.length() * self.visual_deg_per_um
+        self.visual.eccentricity_deg(at_um)
     }
 
-    /// Eccentricity of the ora, µm of arc.
+    /// Largest eccentricity of the ora, µm of arc.
     pub fn ora_um(&self) -> f64 {
-        self.ora_deg / self.deg_per_um
+        self.ora_at(-1.0) / self.deg_per_um
     }
+
+    /// Whether cones live here: inside the ora and outside the optic disc.
+    pub fn is_retina(&self, at_um: DVec2) -> bool {
+        let rho = at_um.length();
+        let cos_nasal = if rho > 0.0 { at_um.x / rho } else { 1.0 };
+        rho * self.deg_per_um <= self.ora_at(cos_nasal) && !self.is_optic_disc(at_um)
+    }
+
+    fn is_optic_disc(&self, at_um: DVec2) -> bool {
+        self.optic_disc.is_some_and(|disc| {
+            let from_centre = self.visual.visual_deg(at_um) - DVec2::from_array(disc.centre_deg);
+            // An ellipse without size holds nothing.
+            (2.0 * from_centre / DVec2::from_array(disc.size_deg).max(DVec2::splat(1e-9))).length_squared()
+                < 1.0
+        })
+    }
+}
+
+/// Share of a wished change of the total that acts at an eccentricity, retinal degrees.
+fn periphery(deg: f64) -> f64 {
+    -libm::expm1(-(deg / TOTAL_FROM_DEG).powi(2))
 }
 
 /// (retinal degrees, ln density) of one column; rows without a number are left out.
@@ -183,16 +302,9 @@ fn column_of(text: &str, column: usize) -> Vec<(f64, f64)> {
             let mut fields = line.split(',');
             let deg: f64 = fields.next()?.trim().parse().ok()?;
             let density: f64 = fields.nth(column - 1)?.trim().parse().ok()?;
-            (density > 0.0).then(|| (deg, density.ln()))
+            (density > 0.0).then(|| (deg, math::ln(density)))
         })
         .collect()
-}
-
-/// Target density at (`x_um`, `y_um`) of the chart, cones per mm² of retina, after the factor (11.402/12)².
-///
-/// Reads the table anew at each call; keep a [`Density`] for many points.
-pub fn density_per_mm2(p: &RetinaParams, x_um: f64, y_um: f64) -> f64 {
-    Density::new(p).per_mm2(DVec2::new(x_um, y_um))
 }
 
 #[cfg(test)]
@@ -232,15 +344,53 @@ mod tests {
 
     #[test]
     fn total_of_the_retina_is_curcios() {
-        // Integral over the sphere to 120 retinal degrees; 4.57 million to the end of the data, more with the linear tail.
-        let d = curcio();
-        let mut total = 0.0;
-        for ring in 0..1_200 {
-            let theta = (f64::from(ring) + 0.5) * 0.1;
-            let area = theta.to_radians().sin() * 144.0 * 0.1_f64.to_radians() * std::f64::consts::TAU / 72.0;
-            total += (0..72).map(|m| d.per_mm2(at_deg(theta, f64::from(m) * 5.0)) * area).sum::<f64>();
+        // 4.57 million to the end of the data, more with the linear tail.
+        let [total, periphery] = curcio().integrals();
+        assert!((4.9e6..5.7e6).contains(&total) && periphery > 0.9 * total, "{total}");
+    }
+
+    #[test]
+    fn a_wished_total_is_met_and_spares_the_fovea() {
+        for total in [4e6, 6.5e6] {
+            let wished = Density::new(&RetinaParams { total_cones: Some(total), ..RetinaParams::default() });
+            assert!((wished.integrals()[0] / total - 1.0).abs() < 1e-12);
+            let usual = Density::new(&RetinaParams::default());
+            assert!(
+                (wished.per_mm2(at_deg(0.2, 40.0)) / usual.per_mm2(at_deg(0.2, 40.0)) - 1.0).abs() < 0.01
+            );
         }
-        assert!((4.9e6..5.7e6).contains(&total), "{total}");
+    }
+
+    /// §13: 50,000 cones/mm² at 1 visual degree, falling with the power -2/3; the mean over the meridians.
+    #[test]
+    fn tylers_law() {
+        let d = Density::new(&RetinaParams {
+            density: DensityLaw::Tyler,
+            peak_density_per_mm2: CURCIO_PEAK,
+            ..RetinaParams::default()
+        });
+        for (v, want) in [(2.0_f64, 50_000.0 / 2.0_f64.powf(2.0 / 3.0)), (8.0, 12_500.0), (20.0, 6_786.0)] {
+            let got = (0..4)
+                .map(|m| {
+                    d.per_mm2(DVec2::from_angle(f64::from(m) * std::f64::consts::FRAC_PI_2) * v * 287.0).ln()
+                })
+                .sum::<f64>();
+            assert!(((got / 4.0).exp() / want - 1.0).abs() < 1e-3, "{v}");
+        }
+        assert!((d.per_mm2(at_deg(120.0, 90.0)) / 4_000.0 - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn ora_and_optic_disc() {
+        let d = curcio();
+        assert!(d.is_retina(at_deg(112.7, 0.0)) && !d.is_retina(at_deg(112.9, 0.0)));
+        assert!(d.is_retina(at_deg(127.1, 180.0)) && !d.is_retina(at_deg(127.3, 180.0)));
+        let visual = |x: f64, y: f64| DVec2::new(x, y) * 287.0;
+        for (x, y, hole) in
+            [(15.0, 2.0, true), (17.4, 2.0, true), (17.6, 2.0, false), (15.0, -1.4, true), (15.0, 5.6, false)]
+        {
+            assert_eq!(!d.is_retina(visual(x, y)), hole, "{x} {y}");
+        }
     }
 
     #[test]

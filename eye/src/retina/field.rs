@@ -1,13 +1,15 @@
 //! What a place of the retina asks of the mosaic: spacing, metric, and the texture of the domain generator.
 //!
 //! Texture over visual degrees, found by comparing with living mosaics (share of six-sided cells, nearest-neighbour distance,
-//! hexatic order): patch width q in spacings, spread of the cones' radii, and the number of relaxation sub-cycles.
+//! hexatic order): patch width q in spacings, spread of the cones' radii, and the number of relaxation sub-cycles. All of it happens
+//! within 1°, where the scale of the fovea gives visual degrees.
 
 use glam::DVec2;
 
 use super::density::Density;
 use super::local::{Local, local};
-use super::params::RetinaParams;
+use super::params::{Dropout, RetinaParams};
+use crate::rng::{Purpose, Stream};
 
 /// (visual degrees, patch width in spacings, relative spread of radii, sub-cycles); linear between, constant beyond.
 const TEXTURE: [(f64, f64, f64, f64); 5] = [
@@ -64,11 +66,18 @@ impl<'a> Field<'a> {
     }
 
     pub(super) fn texture(&self, at: DVec2) -> Texture {
-        let deg = self.density.visual_deg(at);
+        let deg = at.length() * self.params.geometry.visual.deg_per_um();
         let i = TEXTURE.partition_point(|t| t.0 <= deg).min(TEXTURE.len() - 1);
         let (a, b) = (TEXTURE[i.saturating_sub(1)], TEXTURE[i]);
         let t = if b.0 > a.0 { ((deg - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 1.0 };
         let mix = |x: f64, y: f64| x + t * (y - x);
-        Texture { patch: mix(a.1, b.1), radius_spread: mix(a.2, b.2), cycles: mix(a.3, b.3).round() as u32 }
+        let cycles = self.params.cycles.unwrap_or_else(|| mix(a.3, b.3).round() as u32);
+        Texture { patch: mix(a.1, b.1), radius_spread: mix(a.2, b.2), cycles }
+    }
+
+    /// Whether the cone `id` at a place is one of the retina: inside the ora, outside the optic disc, not dropped out.
+    pub(super) fn keeps(&self, id: u64, at: DVec2) -> bool {
+        let lost = |d: Dropout| Stream::new(d.seed, Purpose::Dropout, id, 0).uniform() < d.fraction;
+        self.density.is_retina(at) && !self.params.dropout.is_some_and(lost)
     }
 }

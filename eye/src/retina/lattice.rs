@@ -18,6 +18,7 @@ use super::clip::{Convex, area, centroid, directions};
 use super::field::Field;
 use super::local::Frame;
 use super::tile::RegionUm;
+use crate::math;
 use crate::rng::{Purpose, Stream};
 
 /// Distance of rings in patch widths: rows of a hexagonal arrangement.
@@ -97,7 +98,7 @@ fn patches(field: &Field, region: &RegionUm) -> (Vec<Patch>, Vec<usize>) {
         }
         if rho + 5.0 * pitch > close {
             let radius = field.params.geometry.radius_um;
-            let around = std::f64::consts::TAU * radius * (rho / radius).sin();
+            let around = std::f64::consts::TAU * radius * math::sin_cos(rho / radius).0;
             let count = (around / pitch).round().max(1.0) as u64;
             ring_patches(field, &Ring { number, rho, pitch, count }, region, &mut patches);
             starts.push(patches.len());
@@ -119,7 +120,7 @@ fn ring_patches(field: &Field, ring: &Ring, region: &RegionUm, out: &mut Vec<Pat
         let mut s = Stream::new(seed, Purpose::Mosaic, id | 1, PATCH_STREAM);
         let along = JITTER * (2.0 * s.uniform() - 1.0) * if ring.count > 1 { 1.0 } else { 0.0 };
         let rho = ring.rho + JITTER * ring.pitch * (2.0 * s.uniform() - 1.0);
-        let at = DVec2::from_angle(step * (j as f64 + phase + along)) * rho;
+        let at = math::unit(step * (j as f64 + phase + along)) * rho;
         let turn = FRAC_PI_3 * s.uniform();
         if near.contains_closed(at) {
             out.push(Patch { id, at, pitch: ring.pitch, turn, stream: s });
@@ -132,12 +133,15 @@ fn ring_patches(field: &Field, ring: &Ring, region: &RegionUm, out: &mut Vec<Pat
 fn numbers_near(near: &RegionUm, count: u64, phase: f64, step: f64) -> Vec<u64> {
     let corners = near.corners();
     let middle = 0.5 * (near.min + near.max);
-    let half = corners.iter().map(|&c| middle.angle_to(c).abs()).fold(0.0, f64::max);
+    let half = corners
+        .iter()
+        .map(|&c| math::angle(DVec2::new(middle.dot(c), middle.perp_dot(c))).abs())
+        .fold(0.0, f64::max);
     let span = 2.0 * (half / step).ceil() + 6.0;
     if near.contains_closed(DVec2::ZERO) || span >= count as f64 {
         return (0..count).collect();
     }
-    let first = ((middle.to_angle() - half) / step - phase).floor() as i64 - 2;
+    let first = ((math::angle(middle) - half) / step - phase).floor() as i64 - 2;
     (first..first + span as i64).map(|j| j.rem_euclid(count as i64) as u64).collect()
 }
 
@@ -160,7 +164,7 @@ impl Lattice {
         let frame = here.metric.frame();
         let spacing = field.spacing_with(patch.at, here.cos_tilt);
         let h = 0.5 * spacing;
-        let ln = |d: DVec2| field.spacing(patch.at + d).ln();
+        let ln = |d: DVec2| math::ln(field.spacing(patch.at + d));
         let (x, y) = (DVec2::new(h, 0.0), DVec2::new(0.0, h));
         let chart = DVec2::new(ln(x) - ln(-x), ln(y) - ln(-y)) / (2.0 * h);
         let gradient = frame.plane_gradient(chart).clamp_length_max(0.3 / patch.pitch);
@@ -170,14 +174,14 @@ impl Lattice {
             frame,
             alpha: DVec2::new(gradient.x, -gradient.y),
             constant: spacing,
-            e1: DVec2::from_angle(patch.turn),
-            e2: DVec2::from_angle(patch.turn + FRAC_PI_3),
+            e1: math::unit(patch.turn),
+            e2: math::unit(patch.turn + FRAC_PI_3),
             reach,
         };
         // Correct the constant over the patch: the centre and six points whose mean square radius is that of the patch.
         let mut ratio = 1.0;
         for k in 0..6 {
-            let u = DVec2::from_angle(f64::from(k) * FRAC_PI_3) * 0.405 * patch.pitch;
+            let u = math::unit(f64::from(k) * FRAC_PI_3) * 0.405 * patch.pitch;
             let stretch = (DVec2::X + product(lattice.alpha, u)).length_squared();
             ratio += stretch * (spacing / field.spacing(patch.at + lattice.warp(u))).powi(2);
         }
@@ -215,7 +219,7 @@ fn wanted_cones(field: &Field, patch: &Patch, cell: &Convex) -> f64 {
     let size = area(&cell.corner);
     let middle = patch.at + centroid(&cell.corner);
     let ring = 0.764 * (size / std::f64::consts::PI).sqrt();
-    let around = (0..6).map(|k| middle + DVec2::from_angle(f64::from(k) * FRAC_PI_3) * ring);
+    let around = (0..6).map(|k| middle + math::unit(f64::from(k) * FRAC_PI_3) * ring);
     let density: f64 = around.chain([middle]).map(|p| field.density.per_mm2(p)).sum();
     let here = field.local(middle);
     1e-6 * size * here.metric.area_factor() / here.cos_tilt * density / 7.0

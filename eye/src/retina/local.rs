@@ -9,6 +9,7 @@
 use glam::{DVec2, DVec3};
 
 use super::params::RetinaGeometry;
+use crate::math;
 
 /// A symmetric positive quadratic form on chart steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,11 +102,9 @@ pub fn local(g: &RetinaGeometry, at_um: DVec2) -> Local {
     let rho = at_um.length();
     let out = if rho > 0.0 { at_um / rho } else { DVec2::X };
     let theta = rho / g.radius_um;
-    let (sin, cos) = theta.sin_cos();
+    let (sin, cos) = math::sin_cos(theta);
     let k = if theta > 1e-9 { sin / theta } else { 1.0 };
-    let here = DVec3::new(sin * out.x, sin * out.y, 1.0 - cos) * g.radius_um;
-    let aim = DVec3::from_array(g.exit_pupil_um) - here;
-    let aim = aim / aim.length();
+    let aim = aim(g, DVec3::new(sin * out.x, sin * out.y, -cos));
     // Components of the aim along the radial and the tangential direction of the chart.
     let radial = cos * (out.x * aim.x + out.y * aim.y) + sin * aim.z;
     let across = out.x * aim.y - out.y * aim.x;
@@ -117,6 +116,17 @@ pub fn local(g: &RetinaGeometry, at_um: DVec2) -> Local {
     };
     let cos_tilt = (1.0 - radial * radial - across * across).max(0.0).sqrt();
     Local { metric, cos_tilt }
+}
+
+/// Unit vector from the place that is `arm` (a unit vector of the foveal frame) from the sphere's centre to the exit pupil seen there.
+fn aim(g: &RetinaGeometry, arm: DVec3) -> DVec3 {
+    let pupil = &g.exit_pupil;
+    let c = 1.0 - DVec3::from_array(pupil.axis).dot(arm);
+    let [p0, p1, p2, p3] = pupil.at_um.map(DVec3::from_array);
+    let at = p0 + c * (p1 + c * (p2 + c * p3));
+    let aim = at - (arm + DVec3::Z) * g.radius_um;
+    // The pupil is millimetres from the retina for all allowed parameters.
+    aim / aim.length()
 }
 
 #[cfg(test)]
@@ -135,7 +145,7 @@ mod tests {
                 let o = p / p.length();
                 DVec3::new(t.sin() * o.x, t.sin() * o.y, 1.0 - t.cos()) * g.radius_um
             };
-            let aim = (DVec3::from_array(g.exit_pupil_um) - place(at)).normalize();
+            let aim = (DVec3::from_array(g.exit_pupil.at_um[0]) - place(at)).normalize();
             for d in [DVec2::new(1e-3, 0.0), DVec2::new(0.4e-3, -1e-3)] {
                 let step = place(at + d) - place(at - d);
                 let want = step.length_squared() - step.dot(aim).powi(2);

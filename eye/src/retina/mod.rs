@@ -24,12 +24,17 @@ mod relax;
 mod statistics;
 mod tile;
 mod types;
+mod visual;
 
-pub use density::{Density, density_per_mm2};
+pub use density::Density;
 pub use force::{K1, K2, K3, K3_LIMIT, NEIGHBOUR, RADIUS_FACTOR, normalized_distance, spline};
 pub use index::ConeIndex;
 pub use local::{Frame, Local, Metric, local};
 pub use mosaic::{ConeType, Cones, Counts, Retina, RetinaTile};
-pub use params::{Generator, RetinaError, RetinaGeometry, RetinaParams};
+pub use params::{
+    CellWalls, DensityLaw, Dropout, ExitPupil, Generator, OpticDisc, RetinaError, RetinaGeometry,
+    RetinaParams,
+};
 pub use statistics::{Band, Statistics, statistics, statistics_in_bands};
 pub use tile::{RegionUm, TILE_UM, TileId, build_region, build_tile, tiles_for};
+pub use visual::VisualMap;

@@ -25,6 +25,7 @@ use super::lattice::births;
 use super::local::Metric;
 use super::mosaic::morton;
 use super::tile::RegionUm;
+use crate::math;
 use crate::rng::{Purpose, Stream};
 
 /// `b` of the random stream of a cone's radius and kicks.
@@ -298,7 +299,7 @@ fn sum_forces(cones: &mut Relaxed, bodies: &[Body], pairs: &Pairs, sums: &mut [S
 
 /// A direction for two cones in the same place.
 fn hashed_direction(a: u64, b: u64) -> DVec2 {
-    DVec2::from_angle(Stream::new(a, Purpose::Mosaic, b, CONE_STREAM).uniform() * std::f64::consts::TAU)
+    math::unit(Stream::new(a, Purpose::Mosaic, b, CONE_STREAM).uniform() * std::f64::consts::TAU)
 }
 
 /// Equation (4), the step of all exact cones.

@@ -23,7 +23,7 @@ const MARGIN: f64 = 3.0;
 /// One band of eccentricity.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Band {
-    /// Inner edge, visual degrees (constant of the fovea).
+    /// Inner edge, visual degrees.
     pub from_deg: f64,
     /// Outer edge, visual degrees.
     pub to_deg: f64,
@@ -135,11 +135,10 @@ fn add_targets(
     for j in 0..STEPS {
         for i in 0..STEPS {
             let at = region.min + step * DVec2::new(i as f64 + 0.5, j as f64 + 0.5);
-            let rho = at.length();
-            let Some(b) = band_of(at).filter(|_| rho < field.density.ora_um()) else {
+            let Some(b) = band_of(at).filter(|_| field.density.is_retina(at)) else {
                 continue;
             };
-            let theta = rho / radius;
+            let theta = at.length() / radius;
             let sphere = if theta > 1e-9 { theta.sin() / theta } else { 1.0 };
             let cones = 1e-6 * field.density.per_mm2(at) * step.x * step.y * sphere;
             let s = cones * field.density.s_share(at);

@@ -169,9 +169,8 @@ fn build_cones(field: &Field, region: &RegionUm) -> Result<Cones, RetinaError> {
 /// The cones whose final place is in the region, in Morton order of birth.
 fn collect(field: &Field, region: &RegionUm, relaxed: &Relaxed, cells: &Cells, kinds: &[Kind]) -> Cones {
     let mut cones = Cones::default();
-    let ora = field.density.ora_um();
     for (i, (&at, &kind)) in relaxed.at.iter().zip(kinds).enumerate() {
-        if !region.contains(at) || at.length() > ora || relaxed.rows[i] > CELL_ROWS {
+        if !region.contains(at) || relaxed.rows[i] > CELL_ROWS || !field.keeps(relaxed.id[i], at) {
             continue;
         }
         cones.counts.coincident += u64::from(relaxed.coincident[i]);
@@ -209,7 +208,7 @@ fn expected_cones(field: &Field, region: &RegionUm) -> f64 {
     let step = (region.max - region.min) / 8.0;
     let density: f64 = (0..64)
         .map(|k| region.min + step * DVec2::new(f64::from(k % 8) + 0.5, f64::from(k / 8) + 0.5))
-        .filter(|at| at.length() < field.density.ora_um())
+        .filter(|at| field.density.is_retina(*at))
         .map(|at| field.density.per_mm2(at))
         .sum();
     1e-6 * density * step.x * step.y

@@ -11,6 +11,7 @@ use super::field::Field;
 use super::grid::Grid;
 use super::mosaic::ConeType;
 use super::relax::Relaxed;
+use crate::math;
 use crate::rng::{Purpose, Stream};
 
 /// Largest hard core, in spacings.
@@ -70,7 +71,7 @@ fn candidacy(share: f64, repulsion: f64, spacing: f64) -> (f64, f64) {
     let cell = spacing * spacing * 0.75_f64.sqrt();
     let core = (repulsion * (cell / share).sqrt()).min(MAX_CORE * spacing);
     let m = cones_within(core / spacing);
-    (1.0 - (1.0 - m * share).max(0.0).powf(1.0 / m), core)
+    (1.0 - math::pow((1.0 - m * share).max(0.0), 1.0 / m), core)
 }
 
 /// Mean number of cones within a distance in spacings of a cone, itself included: shells of the hexagonal lattice, blurred by 0.3.
