@@ -85,10 +85,14 @@ impl Stream {
         self.block[self.used - 1]
     }
 
+    /// 64 bits.
+    pub fn bits(&mut self) -> u64 {
+        (u64::from(self.word()) << 32) | u64::from(self.word())
+    }
+
     /// Uniform in [0, 1), 53 bits.
     pub fn uniform(&mut self) -> f64 {
-        let bits = (u64::from(self.word()) << 32) | u64::from(self.word());
-        (bits >> 11) as f64 * (1.0 / 9_007_199_254_740_992.0)
+        (self.bits() >> 11) as f64 * (1.0 / 9_007_199_254_740_992.0)
     }
 
     /// Two independent standard normal numbers (Box-Muller).
@@ -98,6 +102,16 @@ impl Stream {
         let (sin, cos) = math::sin_cos(std::f64::consts::TAU * self.uniform());
         (radius * cos, radius * sin)
     }
+}
+
+/// 64 well mixed bits of a key and a counter (the finalizer of SplitMix64, Steele et al. 2014): cheap random numbers where a stream would
+/// cost more than what it is for. The key must itself be unique.
+#[inline]
+pub fn mixed(key: u64, counter: u64) -> u64 {
+    let mut z = key.wrapping_add(counter.wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
 }
 
 impl TryRng for Stream {

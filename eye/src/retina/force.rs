@@ -45,15 +45,22 @@ pub fn spline(x: f64) -> f64 {
     }
 }
 
+/// Pairs closer than this D are degenerate (§15.4).
+pub const DEGENERATE: f64 = 0.6;
+
 /// spline(D)·(n - p)/|n - p| of one pair as a chart vector, given the chart step `d` = n - p, its squared length across the
 /// cones and the sum of the radii; `None` for a coincident pair.
 #[inline]
 pub fn push(d: DVec2, length2: f64, reach: f64) -> Option<DVec2> {
+    // spline(length/reach)/length with one division, and no branch on the slope: the branches of (5) cross where it changes.
     let length = length2.sqrt();
     if length < 1e-9 * reach {
         return None;
     }
-    Some(d * (spline(length / reach) / length))
+    let near = 3.75 * 0.266 * reach - 0.266 * length;
+    let far = 3.2 * (reach - length);
+    let slope = if length > 0.75 * reach { far } else { near };
+    Some(d * (slope.max(0.0) / (length * reach)))
 }
 
 /// The step cut to the limit, given its squared length across the cone.

@@ -14,6 +14,8 @@ pub(super) struct Grid {
     ny: usize,
     start: Vec<u32>,
     item: Vec<u32>,
+    /// The points in the order of the items.
+    point: Vec<DVec2>,
 }
 
 impl Grid {
@@ -26,7 +28,15 @@ impl Grid {
         let extent = (max - min).max(DVec2::ZERO);
         let size = size.max(extent.max_element() / MAX_SIDE).max(1e-9);
         let (nx, ny) = ((extent.x / size) as usize + 1, (extent.y / size) as usize + 1);
-        let mut grid = Self { min, size, nx, ny, start: vec![0; nx * ny + 1], item: vec![0; points.len()] };
+        let mut grid = Self {
+            min,
+            size,
+            nx,
+            ny,
+            start: vec![0; nx * ny + 1],
+            item: vec![0; points.len()],
+            point: vec![DVec2::ZERO; points.len()],
+        };
         for &p in points {
             let bin = grid.bin(p);
             grid.start[bin + 1] += 1;
@@ -38,6 +48,7 @@ impl Grid {
         for (i, &p) in points.iter().enumerate() {
             let slot = &mut next[grid.bin(p)];
             grid.item[*slot as usize] = i as u32;
+            grid.point[*slot as usize] = p;
             *slot += 1;
         }
         grid
@@ -62,6 +73,23 @@ impl Grid {
         for y in y0..=y1 {
             let (a, b) = (self.start[y * self.nx + x0], self.start[y * self.nx + x1 + 1]);
             f(&self.item[a as usize..b as usize]);
+        }
+    }
+
+    /// For every item i in the order of the bins: `later` with runs of items that come after it in that order and lie in the square of half
+    /// side `reach(i)` about it, give or take a bin. Two items within both their reaches meet exactly once.
+    #[inline]
+    pub(super) fn each_with_later(&self, reach: impl Fn(u32) -> f64, mut later: impl FnMut(u32, &[u32])) {
+        for (slot, (&i, &p)) in self.item.iter().zip(&self.point).enumerate() {
+            let reach = reach(i);
+            let (_, y) = self.cell(p);
+            let (x0, _) = self.cell(p - DVec2::splat(reach));
+            let (x1, y1) = self.cell(p + DVec2::splat(reach));
+            later(i, &self.item[slot + 1..self.start[y * self.nx + x1 + 1] as usize]);
+            for y in y + 1..=y1 {
+                let (a, b) = (self.start[y * self.nx + x0], self.start[y * self.nx + x1 + 1]);
+                later(i, &self.item[a as usize..b as usize]);
+            }
         }
     }
 
