@@ -25,6 +25,16 @@ impl Convex {
         self.label.resize(directions.len(), LIMIT);
     }
 
+    /// Outer normal n and offset o of every edge: the inside is n·x <= o.
+    pub(super) fn walls(&self) -> Vec<(DVec2, f64)> {
+        let n = self.corner.len();
+        let wall = |m: usize| {
+            let normal = -(self.corner[(m + 1) % n] - self.corner[m]).perp();
+            (normal, normal.dot(self.corner[m]))
+        };
+        (0..n).map(wall).collect()
+    }
+
     /// Largest distance of a corner from the origin.
     pub(super) fn reach(&self) -> f64 {
         self.corner.iter().map(|c| c.length_squared()).fold(0.0, f64::max).sqrt()

@@ -18,6 +18,23 @@ pub(super) struct Grid {
     point: Vec<DVec2>,
 }
 
+/// Items of neighbouring bins, and the box that they were looked up for.
+pub(super) struct Run<'a> {
+    pub(super) item: &'a [u32],
+    point: &'a [DVec2],
+    about: DVec2,
+    reach: DVec2,
+}
+
+impl Run<'_> {
+    /// Whether item number `k` of the run lies in the box.
+    #[inline]
+    pub(super) fn holds(&self, k: usize) -> bool {
+        let d = self.point[k] - self.about;
+        (d.x.abs() <= self.reach.x) & (d.y.abs() <= self.reach.y)
+    }
+}
+
 impl Grid {
     /// Bins of at least `size` on a side.
     pub(super) fn new(points: &[DVec2], size: f64) -> Self {
@@ -76,19 +93,19 @@ impl Grid {
         }
     }
 
-    /// For every item i in the order of the bins: `later` with runs of items that come after it in that order and lie in the square of half
-    /// side `reach(i)` about it, give or take a bin. Two items within both their reaches meet exactly once.
+    /// For every item i in the order of the bins, calls `f` with i and runs of items that come after it in that order and whose bins meet
+    /// the box of half sides `reach(i)` about it. Two items within both their boxes meet exactly once.
     #[inline]
-    pub(super) fn each_with_later(&self, reach: impl Fn(u32) -> f64, mut later: impl FnMut(u32, &[u32])) {
+    pub(super) fn each_with_later(&self, reach: impl Fn(u32) -> DVec2, mut f: impl FnMut(u32, Run)) {
         for (slot, (&i, &p)) in self.item.iter().zip(&self.point).enumerate() {
             let reach = reach(i);
             let (_, y) = self.cell(p);
-            let (x0, _) = self.cell(p - DVec2::splat(reach));
-            let (x1, y1) = self.cell(p + DVec2::splat(reach));
-            later(i, &self.item[slot + 1..self.start[y * self.nx + x1 + 1] as usize]);
-            for y in y + 1..=y1 {
-                let (a, b) = (self.start[y * self.nx + x0], self.start[y * self.nx + x1 + 1]);
-                later(i, &self.item[a as usize..b as usize]);
+            let (x0, _) = self.cell(p - reach);
+            let (x1, y1) = self.cell(p + reach);
+            for row in y..=y1 {
+                let from = if row == y { slot + 1 } else { self.start[row * self.nx + x0] as usize };
+                let to = self.start[row * self.nx + x1 + 1] as usize;
+                f(i, Run { item: &self.item[from..to], point: &self.point[from..to], about: p, reach });
             }
         }
     }

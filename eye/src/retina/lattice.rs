@@ -16,6 +16,7 @@ use glam::DVec2;
 
 use super::clip::{Convex, area, centroid, directions};
 use super::field::Field;
+use super::grid::Grid;
 use super::local::Frame;
 use super::tile::RegionUm;
 use crate::math;
@@ -61,36 +62,38 @@ pub(super) struct Births {
 
 /// All birth places inside `region` (closed).
 pub(super) fn births(field: &Field, region: &RegionUm) -> Births {
-    let (patches, ring_start) = patches(field, region);
+    let patches = patches(field, region);
     let square = directions(4);
     let mut cell = Convex::default();
     let mut out = Births::default();
-    for (r, window) in ring_start.windows(2).enumerate() {
-        let near = ring_start[r.saturating_sub(2)]..ring_start[(r + 3).min(ring_start.len() - 1)];
-        for i in window[0]..window[1] {
-            let patch = &patches[i];
-            if !region.grown(1.6 * patch.pitch).contains_closed(patch.at) {
-                continue;
-            }
-            // The patch's own cell among its neighbours.
-            cell.reset_regular(&square, 1.8 * patch.pitch);
-            for n in near.clone().filter(|&n| n != i) {
-                let d = patches[n].at - patch.at;
-                if d.length_squared() < (3.2 * patch.pitch).powi(2) {
-                    cell.cut(d, 0.5 * d.length_squared(), 0);
-                }
-            }
-            fill(field, patch, &cell, region, &mut out);
+    let at: Vec<DVec2> = patches.iter().map(|p| p.at).collect();
+    let grid = Grid::new(&at, 2.0 * patches.iter().map(|p| p.pitch).fold(0.0, f64::max));
+    let mut near = Vec::new();
+    for (i, patch) in patches.iter().enumerate() {
+        if !region.grown(1.6 * patch.pitch).contains_closed(patch.at) {
+            continue;
         }
+        // The patch's own cell among its neighbours, cut in the order of their ids.
+        cell.reset_regular(&square, 1.8 * patch.pitch);
+        near.clear();
+        grid.near(patch.at, 3.2 * patch.pitch, |n| near.push(n));
+        near.sort_unstable();
+        for &n in near.iter().filter(|&&n| n as usize != i) {
+            let d = patches[n as usize].at - patch.at;
+            if d.length_squared() < (3.2 * patch.pitch).powi(2) {
+                cell.cut(d, 0.5 * d.length_squared(), 0);
+            }
+        }
+        fill(field, patch, &cell, region, &mut out);
     }
     out
 }
 
-/// The patches that can matter to the region, ring by ring, and where each ring starts.
-fn patches(field: &Field, region: &RegionUm) -> (Vec<Patch>, Vec<usize>) {
+/// The patches that can matter to the region, by ascending id.
+fn patches(field: &Field, region: &RegionUm) -> Vec<Patch> {
     let far = region.farthest_from_origin();
     let close = region.distance_to_origin();
-    let (mut rho, mut patches, mut starts) = (0.0, Vec::new(), vec![0]);
+    let (mut rho, mut patches) = (0.0, Vec::new());
     for number in 0..MAX_RINGS as u64 {
         let pitch = field.texture(DVec2::new(rho, 0.0)).patch * field.mean_spacing(rho);
         if rho - 5.0 * pitch > far || rho > field.density.ora_um() + 5.0 * pitch {
@@ -101,11 +104,10 @@ fn patches(field: &Field, region: &RegionUm) -> (Vec<Patch>, Vec<usize>) {
             let around = std::f64::consts::TAU * radius * math::sin_cos(rho / radius).0;
             let count = (around / pitch).round().max(1.0) as u64;
             ring_patches(field, &Ring { number, rho, pitch, count }, region, &mut patches);
-            starts.push(patches.len());
         }
         rho += RING_STEP * pitch;
     }
-    (patches, starts)
+    patches
 }
 
 /// Patches of one ring with centres near the region, in order of their number.
@@ -194,8 +196,8 @@ impl Lattice {
         self.frame.chart_from_plane(u + 0.5 * product(self.alpha, product(u, u)))
     }
 
-    /// Calls `f` with the indices and the chart step of every lattice point inside the cell.
-    fn points(&self, offset: DVec2, cell: &Convex, mut f: impl FnMut(i32, i32, DVec2)) {
+    /// Calls `f` with the indices and the chart step of every lattice point inside the walls.
+    fn points(&self, offset: DVec2, walls: &[(DVec2, f64)], mut f: impl FnMut(i32, i32, DVec2)) {
         let rows = ((self.reach / (self.constant * 0.75_f64.sqrt())) as i32 + 2).min(HALF - 1);
         for b in -rows..rows {
             let row = f64::from(b) + offset.y;
@@ -206,7 +208,7 @@ impl Lattice {
             for a in low.max(-HALF)..=high.min(HALF - 1) {
                 let zeta = self.constant * (self.e1 * (f64::from(a) + offset.x) + self.e2 * row);
                 let step = self.warp(zeta);
-                if inside(&cell.corner, step) {
+                if walls.iter().all(|&(normal, end)| normal.dot(step) <= end) {
                     f(a, b, step);
                 }
             }
@@ -228,6 +230,7 @@ fn wanted_cones(field: &Field, patch: &Patch, cell: &Convex) -> f64 {
 /// The lattice points of one patch: those inside its cell and the region.
 fn fill(field: &Field, patch: &Patch, cell: &Convex, region: &RegionUm, out: &mut Births) {
     let lattice = Lattice::new(field, patch, cell);
+    let walls = cell.walls();
     // Of a few offsets, the one with the number of cones nearest to the target (rounded up or down at random).
     let mut stream = patch.stream.clone();
     let wanted = (wanted_cones(field, patch, cell) + stream.uniform()).floor();
@@ -235,7 +238,7 @@ fn fill(field: &Field, patch: &Patch, cell: &Convex, region: &RegionUm, out: &mu
     for _ in 0..OFFSETS {
         let tried = DVec2::new(stream.uniform(), stream.uniform());
         let mut count = 0.0;
-        lattice.points(tried, cell, |_, _, _| count += 1.0);
+        lattice.points(tried, &walls, |_, _, _| count += 1.0);
         if (count - wanted).abs() < best {
             (offset, best) = (tried, (count - wanted).abs());
         }
@@ -243,7 +246,7 @@ fn fill(field: &Field, patch: &Patch, cell: &Convex, region: &RegionUm, out: &mu
             break;
         }
     }
-    lattice.points(offset, cell, |a, b, step| {
+    lattice.points(offset, &walls, |a, b, step| {
         let at = patch.at + step;
         if region.contains_closed(at) {
             out.id.push(patch.id | (((a + HALF) as u64) << 9) | (b + HALF) as u64);
@@ -255,9 +258,4 @@ fn fill(field: &Field, patch: &Patch, cell: &Convex, region: &RegionUm, out: &mu
 /// Complex product.
 fn product(a: DVec2, b: DVec2) -> DVec2 {
     DVec2::new(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x)
-}
-
-fn inside(corner: &[DVec2], p: DVec2) -> bool {
-    let n = corner.len();
-    (0..n).all(|m| (corner[(m + 1) % n] - corner[m]).perp_dot(p - corner[m]) >= 0.0)
 }

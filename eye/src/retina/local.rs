@@ -52,6 +52,13 @@ impl Metric {
         (mean - (0.25 * (self.xx - self.yy).powi(2) + self.xy * self.xy).sqrt()).max(1e-6).sqrt()
     }
 
+    /// Half sides of the box that holds all chart steps of at most `length`, with a hundredth to spare for the next cone's metric.
+    #[inline]
+    pub fn box_of(&self, length: f64) -> DVec2 {
+        let scale = 1.01 * length / self.area_factor();
+        DVec2::new(self.yy.sqrt() * scale, self.xx.sqrt() * scale)
+    }
+
     /// Cholesky factor of the form.
     pub fn frame(&self) -> Frame {
         let a = self.xx.sqrt();

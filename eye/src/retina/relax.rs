@@ -25,7 +25,7 @@ use super::field::Field;
 use super::force::{DEGENERATE, K2, K3, RADIUS_FACTOR, limited, push};
 use super::grid::Grid;
 use super::lattice::births;
-use super::local::Metric;
+use super::local::{Frame, Metric};
 use super::mosaic::morton;
 use super::tile::RegionUm;
 use crate::math;
@@ -96,7 +96,9 @@ pub(super) fn relax(field: &Field, tile: &RegionUm, exact_rows: f64, factor: f64
     let halo = kept + RIM_ROWS + per_cycle * f64::from(texture.cycles);
     let (mut cones, mut bodies) = born(field, tile, halo);
     let last = bodies.iter().map(|b| b.cycles).max().unwrap_or(0);
+    let first = bodies.iter().map(|b| b.cycles).min().unwrap_or(0);
     let kicks = directions(KICKS);
+    let frames: Vec<Frame> = cones.metric.iter().map(Metric::frame).collect();
     let mut pairs = Pairs::default();
     let mut sums = vec![Sum::default(); bodies.len()];
     for cycle in 0..last {
@@ -105,10 +107,17 @@ pub(super) fn relax(field: &Field, tile: &RegionUm, exact_rows: f64, factor: f64
         }
         sum_forces(&mut cones, &bodies, &pairs, &mut sums);
         let needed = kept + per_cycle * f64::from(last - 1 - cycle);
-        step(&mut cones, &mut bodies, cycle, needed, &sums, &kicks);
-        part_degenerate_pairs(&mut cones, &mut bodies, &mut pairs, |p, n| {
-            p.cycles.min(n.cycles) / 2 == cycle
-        });
+        let kick = |i: usize, body: &Body| {
+            let word = mixed(body.key, u64::from(cycle));
+            let size = (word >> 11) as f64 / (1_u64 << 53) as f64;
+            let left = 1.0 - f64::from(cycle + 1) / f64::from(body.cycles);
+            frames[i].chart_from_plane(kicks[word as usize % KICKS]) * (K2 * left * size)
+        };
+        step(&mut cones, &mut bodies, cycle, needed, &sums, kick);
+        if (first / 2..=last / 2).contains(&cycle) {
+            let is_due = |p: &Body, n: &Body| p.cycles.min(n.cycles) / 2 == cycle;
+            part_degenerate_pairs(&mut cones, &mut bodies, &mut pairs, is_due);
+        }
     }
     if pairs.are_stale(&bodies) {
         pairs.list(&cones, &bodies);
@@ -291,7 +300,6 @@ impl Pairs {
     fn list(&mut self, cones: &Relaxed, bodies: &[Body]) {
         // The largest partner near by, in spacings of a cone; neighbouring spacings differ by a few per cent.
         let widest = cones.radius.iter().zip(&cones.spacing).map(|(r, s)| r / s).fold(0.0, f64::max);
-        let shortest = cones.metric.iter().map(Metric::shortest).fold(1.0, f64::min);
         let mean = cones.radius.iter().sum::<f64>() / cones.radius.len().max(1) as f64;
         self.at.clear();
         self.at.extend(bodies.iter().map(|b| b.at));
@@ -300,16 +308,16 @@ impl Pairs {
         self.start.clear();
         self.second.clear();
         let reach = |i: u32| {
-            let spacing = cones.spacing[i as usize];
-            (SPOIL + SKIN) * (bodies[i as usize].radius + 1.06 * widest * spacing) / shortest
+            let (body, spacing) = (&bodies[i as usize], cones.spacing[i as usize]);
+            body.metric.box_of((SPOIL + SKIN) * (body.radius + 1.06 * widest * spacing))
         };
-        grid.each_with_later(reach, |i, later| {
+        grid.each_with_later(reach, |i, run| {
             if self.first.last() != Some(&i) {
                 self.first.push(i);
                 self.start.push(self.second.len() as u32);
             }
             let body = &bodies[i as usize];
-            keep(later, &mut self.second, |j| are_near(body, &bodies[j as usize]));
+            keep(run.item, &mut self.second, |k, j| run.holds(k) && are_near(body, &bodies[j as usize]));
         });
         self.start.push(self.second.len() as u32);
     }
@@ -333,14 +341,14 @@ impl Pairs {
     }
 }
 
-/// Appends the chosen items, without a branch per item.
+/// Appends the chosen items.
 #[inline]
-fn keep(from: &[u32], to: &mut Vec<u32>, chosen: impl Fn(u32) -> bool) {
+fn keep(from: &[u32], to: &mut Vec<u32>, chosen: impl Fn(usize, u32) -> bool) {
     let mut end = to.len();
     to.resize(end + from.len(), 0);
-    for &j in from {
+    for (k, &j) in from.iter().enumerate() {
         to[end] = j;
-        end += usize::from(chosen(j));
+        end += usize::from(chosen(k, j));
     }
     to.truncate(end);
 }
@@ -430,8 +438,15 @@ fn hashed_direction(a: u64, b: u64) -> DVec2 {
     math::unit(Stream::new(a, Purpose::Mosaic, b, CONE_STREAM).uniform() * std::f64::consts::TAU)
 }
 
-/// Equation (4), the step of all exact cones.
-fn step(cones: &mut Relaxed, bodies: &mut [Body], cycle: u32, needed: f64, sums: &[Sum], kicks: &[DVec2]) {
+/// Equation (4), the step of all exact cones; `kick` is the random part in radii.
+fn step(
+    cones: &mut Relaxed,
+    bodies: &mut [Body],
+    cycle: u32,
+    needed: f64,
+    sums: &[Sum],
+    kick: impl Fn(usize, &Body) -> DVec2,
+) {
     for (i, body) in bodies.iter_mut().enumerate() {
         if cycle >= body.cycles || !body.exact || body.gone {
             continue;
@@ -440,11 +455,7 @@ fn step(cones: &mut Relaxed, bodies: &mut [Body], cycle: u32, needed: f64, sums:
             body.exact = false;
             continue;
         }
-        let left = 1.0 - f64::from(cycle + 1) / f64::from(body.cycles);
-        let word = mixed(body.key, u64::from(cycle));
-        let size = (word >> 11) as f64 / (1_u64 << 53) as f64;
-        let kick = body.metric.frame().chart_from_plane(kicks[word as usize % KICKS]) * (K2 * left * size);
-        let wanted = body.radius * (K3 * sums[i].force + kick);
+        let wanted = body.radius * (K3 * sums[i].force + kick(i, body));
         let (moved, cut) = limited(wanted, body.metric.length2(wanted), body.radius);
         body.at += moved;
         cones.limited[i] += u8::from(cut);

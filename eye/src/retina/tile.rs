@@ -23,11 +23,11 @@ use super::relax::{Relaxed, relax};
 use super::types::{Kind, assign};
 
 /// Side of the smallest tile, µm of the chart.
-pub const TILE_UM: f64 = 512.0;
+pub const TILE_UM: f64 = 1_024.0;
 /// Distance from the foveal centre, µm, from which blocks of 2 and 4 squares a side are one tile.
-const BLOCK_FROM_UM: [f64; 2] = [1_000.0, 3_000.0];
+const BLOCK_FROM_UM: [f64; 2] = [2_000.0, 6_000.0];
 /// Rows of cones round a tile that must be exact: cells two rows out with all their neighbours, S cones three rows out.
-const EXACT_ROWS: f64 = 6.5;
+const EXACT_ROWS: f64 = 6.0;
 /// Rows round a tile for which cells are built.
 pub(super) const CELL_ROWS: f64 = 4.0;
 /// No cone is farther than this from the foveal centre along an axis, µm of arc.
