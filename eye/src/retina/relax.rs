@@ -303,7 +303,7 @@ impl Pairs {
         let mean = cones.radius.iter().sum::<f64>() / cones.radius.len().max(1) as f64;
         self.at.clear();
         self.at.extend(bodies.iter().map(|b| b.at));
-        let grid = Grid::new(&self.at, 2.5 * mean);
+        let grid = Grid::new(&self.at, 2.0 * mean);
         self.first.clear();
         self.start.clear();
         self.second.clear();
@@ -317,7 +317,11 @@ impl Pairs {
                 self.start.push(self.second.len() as u32);
             }
             let body = &bodies[i as usize];
-            keep(run.item, &mut self.second, |k, j| run.holds(k) && are_near(body, &bodies[j as usize]));
+            for (k, &j) in run.item.iter().enumerate() {
+                if run.holds(k) && are_near(body, &bodies[j as usize]) {
+                    self.second.push(j);
+                }
+            }
         });
         self.start.push(self.second.len() as u32);
     }
@@ -339,18 +343,6 @@ impl Pairs {
             }
         }
     }
-}
-
-/// Appends the chosen items.
-#[inline]
-fn keep(from: &[u32], to: &mut Vec<u32>, chosen: impl Fn(usize, u32) -> bool) {
-    let mut end = to.len();
-    to.resize(end + from.len(), 0);
-    for (k, &j) in from.iter().enumerate() {
-        to[end] = j;
-        end += usize::from(chosen(k, j));
-    }
-    to.truncate(end);
 }
 
 /// Whether a pair belongs on the list.
