@@ -70,8 +70,8 @@ impl ArtifactSpec {
     /// Rises whenever the same inputs give other bytes.
     fn version(&self) -> u32 {
         match self {
-            Self::RetinaTile { .. } => 2,
-            Self::Cones { .. } | Self::Kernels(_) => 1,
+            Self::RetinaTile { .. } | Self::Cones { .. } => 2,
+            Self::Kernels(_) => 1,
         }
     }
 
@@ -145,6 +145,5 @@ fn by_type(types: &[ConeType]) -> [u64; 3] {
 }
 
 fn events(counts: Counts) -> Vec<(String, u64)> {
-    let names = ["coincident cones parted", "close pairs", "voids", "concave cells", "limited steps"];
-    names.iter().map(|n| (*n).to_owned()).zip(counts.to_array()).collect()
+    Counts::NAMES.iter().map(|n| (*n).to_owned()).zip(counts.to_array()).collect()
 }

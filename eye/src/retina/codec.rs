@@ -1,6 +1,6 @@
 //! Stored form of tiles and retinas: little-endian, own format.
 //!
-//! magic (8 bytes) | version u32 | place (4 x f64: i, j, 0, 0 or the region) | length of the parameters u32 | parameters (postcard) | counts (5 x u64) |
+//! magic (8 bytes) | version u32 | place (4 x f64: i, j, 0, 0 or the region) | length of the parameters u32 | parameters (postcard) | counts (7 x u64) |
 //! cones n u32 | corners c u32 | id n x u64 | x n x f64 | y n x f64 | polygon_start (n + 1) x u32 | polygon_xy 2c x f32 | cell area n x f32 |
 //! aperture n x f32 | pointing 2n x f32 | type n x u8 | BLAKE3 of all before (32 bytes).
 //! A reader checks magic, version, total length and digest before it allocates.
@@ -13,7 +13,7 @@ use super::tile::{RegionUm, TileId};
 
 const TILE_MAGIC: [u8; 8] = *b"PHEYTILE";
 const RETINA_MAGIC: [u8; 8] = *b"PHEYRETI";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const DIGEST: usize = 32;
 
 const fn damaged() -> RetinaError {
@@ -95,7 +95,7 @@ fn decode(magic: [u8; 8], bytes: &[u8]) -> Result<([f64; 4], RetinaParams, Cones
     }
     let length = r.u32()? as usize;
     let params = postcard::from_bytes(r.bytes(length)?).map_err(|_| damaged())?;
-    let mut counts = [0; 5];
+    let mut counts = [0; 7];
     for v in &mut counts {
         *v = u64::from_le_bytes(r.array()?);
     }

@@ -6,9 +6,11 @@
 //!
 //! From parameters to cones, file by file: `density` says how many; `lattice` lays patches of hexagonal lattice at that density; `relax` moves the
 //! cones by the force of `force`; `cells` draws their walls; `types` makes them L, M or S; `tile` does all that for one square of
-//! the chart as a pure function; `mosaic` holds the result; `index` finds the cone at a point; `statistics` compares with the targets.
+//! the chart as a pure function; `mosaic` holds the result; `index` finds the cone at a point; `census` and `statistics`
+//! compare with the targets.
 
 mod cells;
+mod census;
 mod clip;
 mod codec;
 mod density;
@@ -26,6 +28,7 @@ mod tile;
 mod types;
 mod visual;
 
+pub use census::Census;
 pub use density::Density;
 pub use force::{K1, K2, K3, K3_LIMIT, NEIGHBOUR, RADIUS_FACTOR, normalized_distance, spline};
 pub use index::ConeIndex;
@@ -35,6 +38,6 @@ pub use params::{
     CellWalls, DensityLaw, Dropout, ExitPupil, Generator, OpticDisc, RetinaError, RetinaGeometry,
     RetinaParams,
 };
-pub use statistics::{Band, Statistics, statistics, statistics_in_bands};
+pub use statistics::{BANDS_DEG, Band, SECTORS, Sector, Statistics, statistics, statistics_in_bands};
 pub use tile::{RegionUm, TILE_UM, TileId, build_region, build_tile, tiles_for};
 pub use visual::VisualMap;

@@ -27,6 +27,10 @@ pub enum ConeType {
 pub struct Counts {
     /// Encounters of two cones in one place (parted by a hashed direction).
     pub coincident: u64,
+    /// Cones removed because another was closer than D = 0.6 (§15.4).
+    pub removed: u64,
+    /// Cones seeded in voids (§15.3).
+    pub seeded: u64,
     /// Cones with a neighbour closer than D = 0.6 at the end.
     pub close_pairs: u64,
     /// Cells that reach the size limit.
@@ -38,13 +42,33 @@ pub struct Counts {
 }
 
 impl Counts {
+    /// Names of the counts, in the order of `to_array`.
+    pub const NAMES: [&str; 7] = [
+        "coincident cones parted",
+        "degenerate cones removed",
+        "cones seeded in voids",
+        "close pairs",
+        "voids",
+        "concave cells",
+        "limited steps",
+    ];
+
     /// All counts, in the order of the fields.
-    pub fn to_array(self) -> [u64; 5] {
-        [self.coincident, self.close_pairs, self.voids, self.concave, self.limited_steps]
+    pub fn to_array(self) -> [u64; 7] {
+        let Self { coincident, removed, seeded, close_pairs, voids, concave, limited_steps } = self;
+        [coincident, removed, seeded, close_pairs, voids, concave, limited_steps]
     }
 
-    pub(super) fn from_array([coincident, close_pairs, voids, concave, limited_steps]: [u64; 5]) -> Self {
-        Self { coincident, close_pairs, voids, concave, limited_steps }
+    pub(super) fn from_array(counts: [u64; 7]) -> Self {
+        let [coincident, removed, seeded, close_pairs, voids, concave, limited_steps] = counts;
+        Self { coincident, removed, seeded, close_pairs, voids, concave, limited_steps }
+    }
+
+    /// The sum of two.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
+        let (a, b) = (self.to_array(), other.to_array());
+        Self::from_array(std::array::from_fn(|i| a[i] + b[i]))
     }
 }
 
@@ -200,11 +224,9 @@ impl Retina {
     pub(super) fn gather(parts: &[&Cones], region: &RegionUm, params: &RetinaParams) -> Self {
         let mut order = Vec::new();
         let mut cones = Cones::default();
-        let mut total = [0_u64; 5];
+        let mut total = Counts::default();
         for (t, part) in parts.iter().enumerate() {
-            for (sum, count) in total.iter_mut().zip(part.counts.to_array()) {
-                *sum += count;
-            }
+            total = total.plus(part.counts);
             for i in 0..part.len() {
                 let at = part.center(i);
                 if region.contains(at) {
@@ -218,7 +240,7 @@ impl Retina {
         for (_, _, t, i) in order {
             cones.push_from(parts[t], i);
         }
-        cones.counts = Counts::from_array(total);
+        cones.counts = total;
         Self { region: *region, params: params.clone(), cones }
     }
 

@@ -349,7 +349,7 @@ impl Pairs {
 #[inline]
 fn are_near(p: &Body, n: &Body) -> bool {
     let cutoff = (SPOIL + SKIN) * (p.radius + n.radius);
-    (p.exact | n.exact) & !(p.gone | n.gone) & (length2(p, n) < cutoff * cutoff)
+    (p.exact || n.exact) && !p.gone && !n.gone && length2(p, n) < cutoff * cutoff
 }
 
 /// Squared distance of two cones across their mean direction.
@@ -370,7 +370,7 @@ fn sum_forces(cones: &mut Relaxed, bodies: &[Body], pairs: &Pairs, sums: &mut [S
             let n = &bodies[other];
             let reach = p.radius + n.radius;
             let l2 = length2(p, n);
-            if (p.exact != n.exact) & (l2 < SPOIL * SPOIL * reach * reach) {
+            if p.exact != n.exact && l2 < SPOIL * SPOIL * reach * reach {
                 sum.spoiled = true;
                 sums[other].spoiled = true;
             }

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cells::{Cells, build_cells};
 use super::field::Field;
-use super::mosaic::{Cones, Retina, RetinaTile};
+use super::mosaic::{Cones, Retina, RetinaTile, morton};
 use super::params::{RetinaError, RetinaParams};
 use super::relax::{Relaxed, relax};
 use super::types::{Kind, assign};
@@ -108,6 +108,11 @@ impl TileId {
         found
     }
 
+    /// The lower left corner, µm.
+    fn corner(self) -> DVec2 {
+        DVec2::new(f64::from(self.i), f64::from(self.j)) * TILE_UM
+    }
+
     /// The part of the chart that the tile owns; `None` when no tile starts here.
     pub fn region(self) -> Option<RegionUm> {
         let limit = 1 << 20;
@@ -124,7 +129,7 @@ fn square_region(t: TileId, side: i32) -> RegionUm {
     RegionUm { min: DVec2::new(at(t.i), at(t.j)), max: DVec2::new(at(t.i + side), at(t.j + side)) }
 }
 
-/// The tiles that meet the region, sorted. Nothing beyond 36 mm of arc is listed; an empty or NaN region has no tiles.
+/// The tiles that meet the region, in Morton order: the cones of one after the other are in Morton order too. Nothing beyond 36 mm of arc is listed; an empty or NaN region has no tiles.
 pub fn tiles_for(region: &RegionUm) -> Vec<TileId> {
     let Some(inside) = region.within(LIMIT_UM) else {
         return Vec::new();
@@ -133,7 +138,7 @@ pub fn tiles_for(region: &RegionUm) -> Vec<TileId> {
     let mut tiles: Vec<TileId> = (low.x as i32..high.x as i32)
         .flat_map(|i| (low.y as i32..high.y as i32).map(move |j| TileId::of_square(i, j).0))
         .collect();
-    tiles.sort_unstable();
+    tiles.sort_unstable_by_key(|t| morton(t.corner()));
     tiles.dedup();
     tiles
 }
@@ -169,6 +174,7 @@ fn build_cones(field: &Field, region: &RegionUm) -> Result<Cones, RetinaError> {
 /// The cones whose final place is in the region, in Morton order of birth.
 fn collect(field: &Field, region: &RegionUm, relaxed: &Relaxed, cells: &Cells, kinds: &[Kind]) -> Cones {
     let mut cones = Cones::default();
+    cones.counts.removed = relaxed.removed;
     for (i, (&at, &kind)) in relaxed.at.iter().zip(kinds).enumerate() {
         if !region.contains(at) || relaxed.rows[i] > CELL_ROWS || !field.keeps(relaxed.id[i], at) {
             continue;
@@ -240,7 +246,7 @@ mod tests {
     fn tiles_partition_the_chart() {
         let region = RegionUm { min: DVec2::new(-9_000.0, -3_000.0), max: DVec2::new(2_000.0, 9_000.0) };
         let tiles = tiles_for(&region);
-        assert!(tiles.is_sorted());
+        assert!(tiles.is_sorted_by_key(|t| morton(t.corner())));
         for k in 0..2_000 {
             let p = DVec2::new(
                 f64::from(k * 7_919 % 11_000) - 9_000.0,
