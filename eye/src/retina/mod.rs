@@ -37,4 +37,4 @@ pub use params::{
 };
 pub use statistics::{Band, Statistics, statistics, statistics_in_bands};
 pub use tile::{RegionUm, TILE_UM, TileId, build_region, build_tile, tiles_for};
-pub use visual::VisualMap;
+pub use visual::{Rim, VisualMap};
