@@ -18,11 +18,21 @@ pub struct LeastSquares {
 impl LeastSquares {
     /// The design of polynomials of a degree over points whose squared errors count by `weights`.
     pub fn new(degree: usize, points: &[DVec2], weights: &[f64]) -> Self {
-        let (m, n) = (points.len(), count(degree));
+        let m = points.len();
+        let mut columns = vec![0.0; m * count(degree)];
+        for (row, p) in points.iter().enumerate() {
+            monomials(degree, *p, |k, value| columns[k * m + row] = value);
+        }
+        Self { degree, ..Self::from_columns(columns, weights) }
+    }
+
+    /// The design whose unknowns have the given columns, one after the other, each with one value a weight.
+    pub fn from_columns(mut columns: Vec<f64>, weights: &[f64]) -> Self {
+        let m = weights.len();
+        let n = columns.len() / m.max(1);
         let roots: Vec<f64> = weights.iter().map(|w| w.sqrt()).collect();
-        let mut columns = vec![0.0; m * n];
-        for (row, (p, root)) in points.iter().zip(&roots).enumerate() {
-            monomials(degree, *p, |k, value| columns[k * m + row] = value * root);
+        for column in columns.chunks_exact_mut(m.max(1)) {
+            column.iter_mut().zip(&roots).for_each(|(value, root)| *value *= root);
         }
         let (mut diagonal, mut squares) = (vec![0.0; n], vec![0.0; n]);
         for k in 0..n.min(m) {
@@ -36,11 +46,16 @@ impl LeastSquares {
                 reflect(v, squares[k], &mut other[k..]);
             }
         }
-        Self { degree, roots, columns, squares, diagonal }
+        Self { degree: 0, roots, columns, squares, diagonal }
     }
 
     /// The polynomial nearest to one value a point. A column that adds nothing gets coefficient 0.
     pub fn fit(&self, values: impl Iterator<Item = f64>) -> Polynomial2 {
+        Polynomial2::new(self.degree, self.solve(values))
+    }
+
+    /// The unknowns that come nearest to one value a point.
+    pub fn solve(&self, values: impl Iterator<Item = f64>) -> Vec<f64> {
         let (m, n) = (self.roots.len(), self.diagonal.len());
         let mut side: Vec<f64> = values.zip(&self.roots).map(|(v, root)| v * root).collect();
         side.resize(m, 0.0);
@@ -59,7 +74,7 @@ impl LeastSquares {
                 }
             }
         }
-        Polynomial2::new(self.degree, c)
+        c
     }
 }
 

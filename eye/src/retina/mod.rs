@@ -40,4 +40,4 @@ pub use params::{
 };
 pub use statistics::{BANDS_DEG, Band, SECTORS, Sector, Statistics, statistics, statistics_in_bands};
 pub use tile::{RegionUm, TILE_UM, TileId, build_region, build_tile, tiles_for};
-pub use visual::VisualMap;
+pub use visual::{Rim, VisualMap};

@@ -95,7 +95,7 @@ pub struct RetinaGeometry {
 impl Default for RetinaGeometry {
     /// The eye of Escudero-Sanz and Navarro 1999 with the stop 0.4 mm off the axis (§8, §12), paraxially: sphere centre (0, 0, 11.9203) mm,
     /// foveal centre (0, 1.43280, 23.83445) mm, exit pupil (0, -0.415, 3.6825) mm from everywhere, +y temporal on the retina; one visual
-    /// degree is 287 µm everywhere. A traced eye gives better (`plan::retina_geometry`).
+    /// degree is 287 µm everywhere. A traced eye gives better (`plan::setup::retina_geometry`).
     fn default() -> Self {
         Self {
             radius_um: 12_000.0,
