@@ -10,7 +10,7 @@ use glam::{DMat2, DVec2};
 
 use super::cells::{Cells, diagram, neighbours};
 use super::field::Field;
-use super::force::{NEIGHBOUR, RADIUS_FACTOR};
+use super::force::NEIGHBOUR;
 use super::grid::Grid;
 use super::mosaic::{ConeType, Cones};
 use super::params::RetinaParams;
@@ -26,6 +26,8 @@ const STEPS: [usize; 2] = [96, 700];
 const MARGIN: f64 = 3.0;
 /// The same for distances between S cones.
 const S_MARGIN: f64 = 10.0;
+/// Nominal radius of a cone in half spacings of the target density, for D: that of the paper's growth, see `ring`.
+const NOMINAL_RADIUS: f64 = 1.015;
 
 /// Sums over the pieces counted so far.
 #[derive(Clone, Debug)]
@@ -118,8 +120,7 @@ impl Census {
                 // Solid angle of the step in the visual field.
                 let v = visual.length().to_radians();
                 let solid = if v > 1e-9 { math::sin_cos(v).0 / v } else { 1.0 };
-                let columns = [DVec2::X, DVec2::Y]
-                    .map(|d| (g.visual.visual_deg(at + 0.5 * d) - g.visual.visual_deg(at - 0.5 * d)) * step);
+                let columns = [DVec2::X, DVec2::Y].map(|d| (g.visual.visual_deg(at + d) - visual) * step);
                 let area_deg2 = DMat2::from_cols_array_2d(&columns.map(|c| c.to_array())).determinant().abs();
                 for band in [&mut self.sums.bands[b], &mut self.sums.all] {
                     band.target_cones += cones;
@@ -200,7 +201,7 @@ fn as_relaxed(field: &Field, cones: &Cones) -> Relaxed {
         relaxed.at.push(at);
         relaxed.metric.push(here.metric);
         relaxed.spacing.push(spacing);
-        relaxed.radius.push(0.5 * RADIUS_FACTOR * spacing);
+        relaxed.radius.push(0.5 * NOMINAL_RADIUS * spacing);
     }
     relaxed
 }

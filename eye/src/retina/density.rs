@@ -130,6 +130,8 @@ pub struct Density {
     /// k - 1 of a wished total.
     periphery_excess: f64,
     optic_disc: Option<OpticDisc>,
+    /// Centre and radius of a circle of the chart that holds the optic disc.
+    disc_within: (DVec2, f64),
 }
 
 impl Density {
@@ -153,6 +155,7 @@ impl Density {
             s_ramp_deg: p.s_ramp_deg,
             periphery_excess: 0.0,
             optic_disc: p.optic_disc,
+            disc_within: p.optic_disc.map_or((DVec2::ZERO, 0.0), |disc| circle_of(&disc, &g.visual)),
         };
         if let Some(total) = p.total_cones {
             let [all, scaled] = density.integrals();
@@ -259,6 +262,10 @@ impl Density {
     /// Share of S cones: 0 inside the first eccentricity of the ramp (0.175 visual degrees), linear to the full share at the second (1.5).
     pub fn s_share(&self, at_um: DVec2) -> f64 {
         let [from, to] = self.s_ramp_deg;
+        // Far out nothing need be looked up: within 50° the scale stays within a fifth of the fovea's.
+        if at_um.length() * self.visual.deg_per_um() > 1.5 * to {
+            return self.s_share;
+        }
         self.s_share * ((self.visual_deg(at_um) - from) / (to - from)).clamp(0.0, 1.0)
     }
 
@@ -280,13 +287,27 @@ impl Density {
     }
 
     fn is_optic_disc(&self, at_um: DVec2) -> bool {
+        let (middle, radius) = self.disc_within;
         self.optic_disc.is_some_and(|disc| {
+            if (at_um - middle).length_squared() > radius * radius {
+                return false;
+            }
             let from_centre = self.visual.visual_deg(at_um) - DVec2::from_array(disc.centre_deg);
             // An ellipse without size holds nothing.
             (2.0 * from_centre / DVec2::from_array(disc.size_deg).max(DVec2::splat(1e-9))).length_squared()
                 < 1.0
         })
     }
+}
+
+/// A circle of the chart that holds an optic disc: its centre by fixed-point iteration, its radius with room for the change of scale.
+fn circle_of(disc: &OpticDisc, visual: &VisualMap) -> (DVec2, f64) {
+    let (centre, scale) = (DVec2::from_array(disc.centre_deg), visual.deg_per_um());
+    let mut at = centre / scale;
+    for _ in 0..40 {
+        at += (centre - visual.visual_deg(at)) / scale;
+    }
+    (at, disc.size_deg[0].max(disc.size_deg[1]) / scale)
 }
 
 /// Share of a wished change of the total that acts at an eccentricity, retinal degrees.

@@ -11,13 +11,14 @@ use super::local::{Local, local};
 use super::params::{Dropout, RetinaParams};
 use crate::rng::{Purpose, Stream};
 
-/// (visual degrees, patch width in spacings, relative spread of radii, sub-cycles); linear between, constant beyond.
-const TEXTURE: [(f64, f64, f64, f64); 5] = [
-    (0.0, 4.5, 0.08, 24.0),
-    (0.3, 4.5, 0.08, 24.0),
-    (0.5, 7.0, 0.08, 24.0),
-    (0.75, 6.0, 0.10, 20.0),
-    (1.0, 4.0, 0.18, 12.0),
+/// (visual degrees, patch width in spacings, relative spread of radii, sub-cycles, cones born per cone wanted); linear between, constant
+/// beyond. The last column makes up for the degenerate pairs that lose a cone.
+const TEXTURE: [(f64, f64, f64, f64, f64); 5] = [
+    (0.0, 4.0, 0.08, 24.0, 1.004),
+    (0.3, 4.0, 0.08, 24.0, 1.004),
+    (0.5, 5.0, 0.08, 24.0, 1.002),
+    (0.75, 5.0, 0.10, 20.0, 1.006),
+    (1.0, 4.0, 0.18, 12.0, 1.0185),
 ];
 
 /// The domain generator's texture at one place.
@@ -26,6 +27,8 @@ pub(super) struct Texture {
     pub(super) patch: f64,
     pub(super) radius_spread: f64,
     pub(super) cycles: u32,
+    /// Cones born per cone wanted.
+    pub(super) births: f64,
 }
 
 /// Parameters with their density.
@@ -72,7 +75,7 @@ impl<'a> Field<'a> {
         let t = if b.0 > a.0 { ((deg - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 1.0 };
         let mix = |x: f64, y: f64| x + t * (y - x);
         let cycles = self.params.cycles.unwrap_or_else(|| mix(a.3, b.3).round() as u32);
-        Texture { patch: mix(a.1, b.1), radius_spread: mix(a.2, b.2), cycles }
+        Texture { patch: mix(a.1, b.1), radius_spread: mix(a.2, b.2), cycles, births: mix(a.4, b.4) }
     }
 
     /// Whether the cone `id` at a place is one of the retina: inside the ora, outside the optic disc, not dropped out.

@@ -224,7 +224,8 @@ fn wanted_cones(field: &Field, patch: &Patch, cell: &Convex) -> f64 {
     let around = (0..6).map(|k| middle + math::unit(f64::from(k) * FRAC_PI_3) * ring);
     let density: f64 = around.chain([middle]).map(|p| field.density.per_mm2(p)).sum();
     let here = field.local(middle);
-    1e-6 * size * here.metric.area_factor() / here.cos_tilt * density / 7.0
+    let births = field.texture(patch.at).births;
+    births * 1e-6 * size * here.metric.area_factor() / here.cos_tilt * density / 7.0
 }
 
 /// The lattice points of one patch: those inside its cell and the region.
