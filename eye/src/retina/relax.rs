@@ -75,8 +75,8 @@ pub(super) struct Relaxed {
     pub(super) limited: Vec<u8>,
     /// Encounters of each cone with one in the same place.
     pub(super) coincident: Vec<u8>,
-    /// Number of cones removed near the tile, one of each degenerate pair.
-    pub(super) removed: u64,
+    /// Places of the cones that were removed, one of each degenerate pair.
+    pub(super) removed: Vec<DVec2>,
 }
 
 impl Relaxed {
@@ -238,7 +238,7 @@ impl Relaxed {
     fn settled(mut self, bodies: &[Body]) -> Self {
         self.at = bodies.iter().map(|b| quantized(b.at)).collect();
         self.exact = bodies.iter().map(|b| b.exact).collect();
-        if self.removed > 0 {
+        if !self.removed.is_empty() {
             let left = |i: usize| !bodies[i].gone;
             keep_where(&mut self.id, left);
             keep_where(&mut self.at, left);
@@ -407,8 +407,10 @@ fn part_degenerate_pairs(
         return;
     }
     for i in gone {
-        cones.removed += u64::from(!bodies[i].gone);
-        bodies[i].gone = true;
+        if !bodies[i].gone {
+            bodies[i].gone = true;
+            cones.removed.push(bodies[i].at);
+        }
     }
     let mut kept = 0;
     let mut run_start = 0;

@@ -174,7 +174,7 @@ fn build_cones(field: &Field, region: &RegionUm) -> Result<Cones, RetinaError> {
 /// The cones whose final place is in the region, in Morton order of birth.
 fn collect(field: &Field, region: &RegionUm, relaxed: &Relaxed, cells: &Cells, kinds: &[Kind]) -> Cones {
     let mut cones = Cones::default();
-    cones.counts.removed = relaxed.removed;
+    cones.counts.removed = relaxed.removed.iter().filter(|&&at| region.contains(at)).count() as u64;
     for (i, (&at, &kind)) in relaxed.at.iter().zip(kinds).enumerate() {
         if !region.contains(at) || relaxed.rows[i] > CELL_ROWS || !field.keeps(relaxed.id[i], at) {
             continue;
