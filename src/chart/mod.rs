@@ -17,6 +17,7 @@ use photoneye_eye::picture::RgbImage;
 
 pub use canvas::{Canvas, Colour, Rect};
 pub use text::{Font, width_of};
+pub use ticks::number;
 
 /// Colours that differ in lightness as well as hue, told apart by most eyes (Okabe and Ito 2008); dark ones first.
 pub const PALETTE: [Colour; 6] =
@@ -61,6 +62,8 @@ pub struct Axis {
     pub log: bool,
     /// Ends; `None`: what curves and bands need.
     pub range: Option<(f64, f64)>,
+    /// Values that show at least, so that a quiet curve does not look wild; without effect when `range` is given.
+    pub least: Option<(f64, f64)>,
 }
 
 impl Axis {
@@ -71,12 +74,17 @@ impl Axis {
 
     /// A logarithmic axis.
     pub fn log(title: &str) -> Self {
-        Self { title: title.into(), log: true, range: None }
+        Self { title: title.into(), log: true, ..Self::default() }
     }
 
     /// With given ends.
     pub fn within(self, from: f64, to: f64) -> Self {
         Self { range: Some((from, to)), ..self }
+    }
+
+    /// That shows these values and what else there is.
+    pub fn at_least(self, from: f64, to: f64) -> Self {
+        Self { least: Some((from, to)), ..self }
     }
 }
 
@@ -165,7 +173,7 @@ mod tests {
     use super::*;
 
     fn chart(points: Vec<(f64, f64)>, log: bool) -> Chart {
-        let axis = Axis { title: "axis".into(), log, range: None };
+        let axis = Axis { title: "axis".into(), log, ..Axis::default() };
         Chart {
             title: "chart".into(),
             x: axis.clone(),

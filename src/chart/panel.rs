@@ -15,11 +15,14 @@ const DOT: f64 = 2.9;
 /// Strokes and gaps of a broken line, pixels.
 const DASH: [f64; 2] = [6.0, 4.0];
 /// Height of a row of the legend, width of its samples, pixels.
-const LEGEND: [i32; 2] = [19, 24];
+const LEGEND: [i32; 2] = [19, 22];
 /// Room at the right and at the upper edge of a panel, pixels.
 const PAD: [i32; 2] = [22, 8];
 /// Pixels per number on an axis.
 const PER_TICK: [i32; 2] = [75, 45];
+/// Least room for the numbers of the vertical axis, so that panels above each other align, and about all the room beside a plot, pixels.
+const NUMBERS: i32 = 49;
+const SIDES: i32 = 110;
 
 /// The rectangle of the curves and the two axes.
 struct Plot {
@@ -46,11 +49,11 @@ impl Plot {
 /// Draws a chart.
 pub fn draw(canvas: &mut Canvas, chart: &Chart, area: Rect) {
     let (x, y) = scales(chart);
-    let entries = legend_rows(chart, area.width - 60);
-    let below = area.y + PAD[1] + Font::Bold.height() + 4 + LEGEND[0] * entries.len() as i32 + 6;
+    let entries = legend_rows(chart, area.width - SIDES);
+    let below = area.y + PAD[1] + Font::Bold.height() + 4 + LEGEND[0] * entries.len().max(1) as i32 + 6;
     let bottom = area.bottom() - 12 - 2 * Font::Small.height() - 10;
     let y_ticks = ticks(y.from, y.to, y.log, ((bottom - below) / PER_TICK[1]) as usize);
-    let widest = y_ticks.iter().map(|tick| width_of(Font::Small, &tick.label)).max().unwrap_or(0);
+    let widest = y_ticks.iter().map(|tick| width_of(Font::Small, &tick.label)).fold(NUMBERS, i32::max);
     let left = area.x + Font::Small.height() + 10 + widest + 8;
     let plot = Plot {
         area: Rect { x: left, y: below, width: area.right() - PAD[0] - left, height: bottom - below },
@@ -58,10 +61,13 @@ pub fn draw(canvas: &mut Canvas, chart: &Chart, area: Rect) {
         y,
     };
     let x_ticks = ticks(x.from, x.to, x.log, (plot.area.width / PER_TICK[0]) as usize);
-    for band in &chart.bands {
+    for band in chart.bands.iter().filter(|band| !is_mark(band)) {
         draw_band(canvas, &plot, band);
     }
     draw_axes(canvas, &plot, &x_ticks, &y_ticks);
+    for mark in chart.bands.iter().filter(|band| is_mark(band)) {
+        draw_band(canvas, &plot, mark);
+    }
     draw_titles(canvas, chart, &plot, area);
     for (row, entries) in entries.iter().enumerate() {
         draw_legend(
@@ -207,7 +213,7 @@ fn legend_rows(chart: &Chart, width: i32) -> Vec<Vec<Entry<'_>>> {
 }
 
 fn entry_width(label: &str) -> i32 {
-    LEGEND[1] + 6 + width_of(Font::Small, label) + 16
+    LEGEND[1] + 6 + width_of(Font::Small, label) + 12
 }
 
 fn draw_legend(canvas: &mut Canvas, entries: &[Entry], left: i32, y: i32) {

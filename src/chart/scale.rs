@@ -30,8 +30,11 @@ impl Scale {
         {
             return Self { from, to, log };
         }
-        let shown =
-            values.filter(|value| fits(*value, log)).map(|value| if log { value.log10() } else { value });
+        let least = axis.least.into_iter().flat_map(|(from, to)| [from, to]);
+        let shown = values
+            .chain(least)
+            .filter(|value| fits(*value, log))
+            .map(|value| if log { value.log10() } else { value });
         let (low, high) = shown.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
         let (low, high) = match high - low {
             _ if low > high => (0.0, 1.0),

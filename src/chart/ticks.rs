@@ -25,7 +25,8 @@ pub fn ticks(from: f64, to: f64, log: bool, wanted: usize) -> Vec<Tick> {
         return linear(from, to, wanted);
     }
     let decades = (to / from).log10();
-    if decades > DECADES {
+    let plain = PLAIN.contains(&from) && PLAIN.contains(&to) && decades < wanted as f64 / 1.5;
+    if decades > DECADES && !plain {
         return powers(from, to, wanted);
     }
     let fine = parts_of_decades(from, to, if decades > 0.8 { &[1, 2, 5] } else { &[1, 2, 3, 4, 5, 6, 8] });
@@ -55,15 +56,20 @@ fn linear(from: f64, to: f64, wanted: usize) -> Vec<Tick> {
     (0..MAX_TICKS)
         .map(|i| (first + f64::from(i)) * step)
         .take_while(|at| *at <= to + 1e-6 * step)
-        .map(|at| Tick { at, label: number(at, decimals, large) })
+        .map(|at| Tick { at, label: tick_label(at, decimals, large) })
         .collect()
 }
 
-/// A number with so many decimals, thousands parted by a comma; powers of ten when the axis needs them.
-fn number(value: f64, decimals: f64, large: f64) -> String {
-    if large >= 1e7 || decimals > 5.0 {
-        return if value == 0.0 { "0".into() } else { scientific(value) };
+/// Powers of ten when an axis with numbers up to `large` needs them.
+fn tick_label(value: f64, decimals: f64, large: f64) -> String {
+    if large < 1e7 && decimals <= 5.0 {
+        return number(value, decimals);
     }
+    if value == 0.0 { "0".into() } else { scientific(value) }
+}
+
+/// A number with so many decimals, thousands parted by a comma.
+pub fn number(value: f64, decimals: f64) -> String {
     let value = if value.abs() < 0.5 * 10.0_f64.powf(-decimals) { 0.0 } else { value };
     let text = format!("{:.*}", decimals as usize, value.abs());
     let (whole, fraction) = text.split_once('.').unwrap_or((&text, ""));
@@ -101,7 +107,7 @@ fn powers(from: f64, to: f64, wanted: usize) -> Vec<Tick> {
         if power >= first {
             let label = match power {
                 _ if (power - first) % every != 0 => String::new(),
-                _ if plain => number(decade, f64::from(-power).max(0.0), decade),
+                _ if plain => number(decade, f64::from(-power).max(0.0)),
                 _ => format!("10^{{{power}}}"),
             };
             out.push(Tick { at: decade, label });
@@ -122,7 +128,7 @@ fn parts_of_decades(from: f64, to: f64, numbered: &[i32]) -> Vec<Tick> {
         .map(|(power, k)| (power, k, f64::from(k) * 10.0_f64.powi(power)))
         .filter(|(_, _, at)| (from * (1.0 - 1e-9)..=to * (1.0 + 1e-9)).contains(at))
         .map(|(power, k, at)| {
-            let label = number(at, f64::from(-power).max(0.0), to);
+            let label = tick_label(at, f64::from(-power).max(0.0), to);
             Tick { at, label: if numbered.contains(&k) { label } else { String::new() } }
         })
         .collect()
@@ -155,12 +161,13 @@ mod tests {
 
     #[test]
     fn logarithmic_numbers() {
-        assert_eq!(labels(0.05, 120.0, true, 6), ["0.1", "1", "10", "100"]);
+        assert_eq!(labels(0.04, 120.0, true, 4), ["0.1", "1", "10", "100"]);
+        assert_eq!(labels(0.09, 11.0, true, 5), ["0.1", "0.2", "0.5", "1", "2", "5", "10"]);
         assert_eq!(labels(1e3, 3e5, true, 5), ["10^{3}", "10^{4}", "10^{5}"]);
         assert_eq!(labels(0.9, 21.0, true, 5), ["1", "2", "5", "10", "20"]);
         assert_eq!(labels(1e-12, 1e12, true, 5), ["10^{-12}", "10^{-7}", "10^{-2}", "10^{3}", "10^{8}"]);
         assert_eq!(labels(1.0, 1.1, true, 5).len(), 6);
-        let marks = ticks(1.0, 100.0, true, 5);
+        let marks = ticks(1.0, 100.0, true, 3);
         assert_eq!(marks.len(), 19);
         assert!(marks.is_sorted_by(|a, b| a.at < b.at));
     }

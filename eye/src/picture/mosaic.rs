@@ -28,7 +28,7 @@ const WALL_PX: f64 = 0.7;
 /// No cell reaches farther from its centre than this, µm.
 const REACH_UM: f64 = 20.0;
 /// Linear light of L, M and S cones.
-const LIGHT: [[f32; 3]; 3] = [[0.93, 0.93, 0.91], [0.44, 0.58, 0.43], [0.20, 0.27, 0.50]];
+const LIGHT: [[f32; 3]; 3] = [[0.93, 0.93, 0.91], [0.44, 0.58, 0.43], [0.22, 0.29, 0.49]];
 /// Linear light of what is between apertures.
 const BETWEEN: [f32; 3] = [0.006, 0.006, 0.008];
 

@@ -8,7 +8,7 @@ use glam::DVec2;
 use photoneye_eye::picture::{Meridian, MosaicView, RgbImage, Strip, draw_each};
 use photoneye_eye::retina::{Cones, Density, RegionUm, RetinaParams};
 
-use crate::chart::{Canvas, Colour, DARK, Font, Rect, width_of};
+use crate::chart::{Canvas, Colour, DARK, Font, Rect, number, width_of};
 use crate::failure::Failure;
 use crate::result_folder::write_file;
 
@@ -27,7 +27,8 @@ const ROW_PX: [f64; 2] = [1_600.0, 110.0];
 /// Scale of the strip, µm per pixel: 5 pixels for a cone of the foveal centre.
 const STRIP_UM_PER_PX: f64 = 0.45;
 const MAX_ROWS: u32 = 60;
-const TOWARDS: &str = "Right: nasal. Up: superior. A right eye, seen through the pupil.";
+const TOWARDS: &str = "Right: nasal. Up: superior (a right eye seen through its pupil).";
+const TYPES: &str = "L white, M greenish, S bluish; dark: between apertures.";
 
 /// What to draw.
 #[derive(Clone, Debug, PartialEq)]
@@ -114,13 +115,13 @@ fn patches(
         let y = GAP + i as i32 / columns * step[1];
         canvas.picture(&view.draw(&cones_of(&view.region())?), x, y);
         let (place, bottom) = (place(request.along, deg), y + PATCH_PX as i32);
-        let cones = 100.0 * (density.per_mm2(centre) / 100.0).round();
+        let cones = number(100.0 * (density.per_mm2(centre) / 100.0).round(), 0.0);
         canvas.text(Font::Bold, &place, x, bottom + 6, DARK);
         canvas.text(Font::Small, &format!("target {cones} cones per mm²"), x, bottom + 22, GREY);
         scale_bar(&mut canvas, x + PATCH_PX as i32, bottom + 6, 10.0, view.um_per_px());
     }
     let y = canvas.area().bottom() - 24;
-    canvas.text(Font::Small, &format!("{TOWARDS} {}", types_key()), GAP, y, GREY);
+    canvas.text(Font::Small, &format!("{TOWARDS} {}", TYPES), GAP, y, GREY);
     Ok(canvas.finish())
 }
 
@@ -136,7 +137,7 @@ fn fovea(
     canvas.picture(&view.draw(&cones_of(&view.region())?), GAP, GAP);
     let y = GAP + side + 6;
     canvas.text(Font::Bold, &format!("{FOVEA_DEG}° around the foveal centre"), GAP, y, DARK);
-    canvas.text(Font::Small, &format!("{TOWARDS} {}", types_key()), GAP, y + 16, GREY);
+    canvas.text(Font::Small, &format!("{TOWARDS} {}", TYPES), GAP, y + 16, GREY);
     scale_bar(&mut canvas, GAP + side, y, 20.0, view.um_per_px());
     Ok(canvas.finish())
 }
@@ -148,20 +149,23 @@ fn strip(
     cones_of: impl FnMut(&RegionUm) -> Result<Cones, Failure>,
 ) -> Result<RgbImage, Failure> {
     let density = Density::new(params);
-    let row_um = ROW_PX[0] * STRIP_UM_PER_PX;
     let end_um = um_at(&density, request.along, request.strip_to_deg);
+    let rows = ((end_um / (ROW_PX[0] * STRIP_UM_PER_PX)).ceil() as u32).clamp(1, MAX_ROWS);
+    // Full rows that end where the strip does.
+    let row_px = (end_um / f64::from(rows) / STRIP_UM_PER_PX).round().clamp(1.0, ROW_PX[0]);
+    let row_um = row_px * STRIP_UM_PER_PX;
     let strip = Strip {
         along: request.along,
         from_um: 0.0,
         row_um,
-        rows: ((end_um / row_um).ceil() as u32).clamp(1, MAX_ROWS),
+        rows,
         width_um: ROW_PX[1] * STRIP_UM_PER_PX,
         um_per_px: STRIP_UM_PER_PX,
     };
     let views = strip.views().map_err(Failure::usage)?;
     let images = draw_each(&views, cones_of)?;
     let step = ROW_PX[1] as i32 + 26;
-    let mut canvas = Canvas::new(ROW_PX[0] as i32 + 2 * GAP, GAP + step * images.len() as i32 + CAPTION);
+    let mut canvas = Canvas::new(row_px as i32 + 2 * GAP, GAP + step * images.len() as i32 + CAPTION);
     for (row, image) in images.iter().enumerate() {
         let y = GAP + row as i32 * step;
         canvas.picture(image, GAP, y);
@@ -173,10 +177,10 @@ fn strip(
     let text = format!(
         "From the foveal centre outwards, {} to the right; the numbers are visual degrees. {}",
         request.along.name(),
-        types_key()
+        TYPES
     );
     canvas.text(Font::Small, &text, GAP, y + 4, GREY);
-    scale_bar(&mut canvas, GAP + ROW_PX[0] as i32, y, 50.0, STRIP_UM_PER_PX);
+    scale_bar(&mut canvas, GAP + row_px as i32, y, 50.0, STRIP_UM_PER_PX);
     Ok(canvas.finish())
 }
 
@@ -208,10 +212,6 @@ fn scale_bar(canvas: &mut Canvas, right: i32, y: i32, length_um: f64, um_per_px:
 
 fn place(along: Meridian, deg: f64) -> String {
     if deg > 0.0 { format!("{deg}° {}", along.name()) } else { "foveal centre".into() }
-}
-
-fn types_key() -> &'static str {
-    "L white, M greenish, S bluish."
 }
 
 #[cfg(test)]
@@ -263,11 +263,12 @@ mod tests {
         let half = DVec2::splat(10.5 * 287.0);
         let retina = build_region(&params, &RegionUm { min: -half, max: half }).unwrap();
         let edges = [
-            0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 0.85, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0,
-            5.0, 6.0, 8.0, 10.0,
+            0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.85, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0,
+            10.0,
         ];
         let rings = statistics_in_bands(&retina, &edges).bands;
-        let title = format!("Cone mosaic to 10.5°, seed {}, {} cones", params.seed, retina.len());
+        let cones = number(retina.len() as f64, 0.0);
+        let title = format!("Cone mosaic to 10.5°, seed {}, {cones} cones", params.seed);
         let mut columns = StatisticsColumns::from_rings(&title, &rings);
         let density = Density::new(&params);
         for along in Meridian::ALL {
@@ -289,8 +290,5 @@ mod tests {
         let nyquist = |per_mm2: f64| 287.0 / (3.0_f64.sqrt() * (2e6 / (3.0_f64.sqrt() * per_mm2)).sqrt());
         columns.nyquist = columns.meridians[2].density.iter().map(|&(x, d)| (x, nyquist(d))).collect();
         write_png(&folder.join("statistics.png"), &statistics_page(&columns)).unwrap();
-        let voids = columns.nyquist.iter().map(|&(x, _)| (x, 0.0)).collect();
-        let more = StatisticsColumns { voids, ..columns };
-        write_png(&folder.join("statistics_more.png"), &statistics_page(&more)).unwrap();
     }
 }

@@ -109,9 +109,10 @@ pub fn statistics_page(columns: &StatisticsColumns) -> RgbImage {
         s_share(columns),
         coverage(columns),
     ];
-    let spacing = one("S cones: distance to the nearest S cone", "µm", &columns.s_nearest_um, 2);
-    let voids = one("cells at the size limit", "share of cones", &columns.voids, 0);
-    let close = one("cones closer than D = 0.6", "share of cones", &columns.close_pairs, 1);
+    let spacing = one("S cones: distance to the nearest S cone", "µm", &columns.s_nearest_um);
+    let voids = with_room(one("cells at the size limit", "share of cones", &columns.voids), 0.0, 1e-3);
+    let close =
+        with_room(one("cones closer than D = 0.6", "share of cones", &columns.close_pairs), 0.0, 1e-3);
     charts.extend([spacing, voids, close].into_iter().filter(|chart| !chart.series[0].points.is_empty()));
     share_x(&mut charts);
     page(&columns.title, &charts, COLUMNS)
@@ -137,19 +138,20 @@ fn chart(title: &str, y: &str, series: Vec<Series>, bands: Vec<Band>) -> Chart {
 }
 
 /// A chart of one curve.
-fn one(title: &str, y: &str, curve: &Curve, colour: usize) -> Chart {
-    chart(title, y, vec![Series::new("", curve.clone(), Style::Both, PALETTE[colour])], Vec::new())
+fn one(title: &str, y: &str, curve: &Curve) -> Chart {
+    chart(title, y, vec![Series::new("", curve.clone(), Style::Both, PALETTE[0])], Vec::new())
 }
 
 fn density(columns: &StatisticsColumns) -> Chart {
     let mut series = Vec::new();
-    for (i, meridian) in columns.meridians.iter().enumerate() {
-        let label = if i == 0 { "target" } else { "" };
-        series.push(Series::new(label, meridian.target.clone(), Style::Dashed, DARK));
+    let coloured = || columns.meridians.iter().zip(PALETTE.iter().cycle());
+    for (meridian, colour) in coloured() {
+        series.push(Series::new("", meridian.target.clone(), Style::Dashed, *colour));
     }
-    for (meridian, colour) in columns.meridians.iter().zip(PALETTE.iter().cycle()) {
+    for (meridian, colour) in coloured() {
         series.push(Series::new(&meridian.name, meridian.density.clone(), Style::Points, *colour));
     }
+    series.push(Series::new("target", Vec::new(), Style::Dashed, DARK));
     let mut chart = chart("density", "cones per mm²", series, Vec::new());
     chart.y.log = true;
     chart
@@ -162,7 +164,7 @@ fn density_ratio(columns: &StatisticsColumns) -> Chart {
 }
 
 fn nyquist(columns: &StatisticsColumns) -> Chart {
-    let mut chart = one("Nyquist limit of the mosaic", "cycles per visual degree", &columns.nyquist, 0);
+    let mut chart = one("Nyquist limit of the mosaic", "cycles per visual degree", &columns.nyquist);
     chart.y.log = true;
     chart
 }
@@ -207,13 +209,12 @@ fn s_share(columns: &StatisticsColumns) -> Chart {
 }
 
 fn coverage(columns: &StatisticsColumns) -> Chart {
-    with_room(one("light-collecting aperture", "share of cell area", &columns.coverage, 0), 0.0, 1.0)
+    with_room(one("light-collecting aperture", "share of cell area", &columns.coverage), 0.0, 1.0)
 }
 
-/// The axis shows at least these values: otherwise a quiet curve would look wild. More when the curve needs it.
+/// The vertical axis shows at least these values.
 fn with_room(mut chart: Chart, low: f64, high: f64) -> Chart {
-    let room = Band { from: low, to: high, x: Some((f64::INFINITY, f64::INFINITY)), ..Band::default() };
-    chart.bands.push(room);
+    chart.y.least = Some((low, high));
     chart
 }
 
