@@ -113,7 +113,7 @@ fn patches(
         let view = MosaicView::patch(centre, request.patch_um, PATCH_PX).map_err(Failure::usage)?;
         let x = GAP + i as i32 % columns * step[0];
         let y = GAP + i as i32 / columns * step[1];
-        canvas.picture(&view.draw(&cones_of(&view.region())?), x, y);
+        framed(&mut canvas, &view.draw(&cones_of(&view.region())?), x, y);
         let (place, bottom) = (place(request.along, deg), y + PATCH_PX as i32);
         let cones = number(100.0 * (density.per_mm2(centre) / 100.0).round(), 0.0);
         canvas.text(Font::Bold, &place, x, bottom + 6, DARK);
@@ -121,7 +121,7 @@ fn patches(
         scale_bar(&mut canvas, x + PATCH_PX as i32, bottom + 6, 10.0, view.um_per_px());
     }
     let y = canvas.area().bottom() - 24;
-    canvas.text(Font::Small, &format!("{TOWARDS} {}", TYPES), GAP, y, GREY);
+    canvas.text(Font::Small, &format!("{TOWARDS} {TYPES}"), GAP, y, GREY);
     Ok(canvas.finish())
 }
 
@@ -134,10 +134,10 @@ fn fovea(
     let view = MosaicView::patch(DVec2::ZERO, side_um, FOVEA_PX).map_err(Failure::usage)?;
     let side = FOVEA_PX as i32;
     let mut canvas = Canvas::new(side + 2 * GAP, side + 2 * GAP + CAPTION);
-    canvas.picture(&view.draw(&cones_of(&view.region())?), GAP, GAP);
+    framed(&mut canvas, &view.draw(&cones_of(&view.region())?), GAP, GAP);
     let y = GAP + side + 6;
     canvas.text(Font::Bold, &format!("{FOVEA_DEG}° around the foveal centre"), GAP, y, DARK);
-    canvas.text(Font::Small, &format!("{TOWARDS} {}", TYPES), GAP, y + 16, GREY);
+    canvas.text(Font::Small, &format!("{TOWARDS} {TYPES}"), GAP, y + 16, GREY);
     scale_bar(&mut canvas, GAP + side, y, 20.0, view.um_per_px());
     Ok(canvas.finish())
 }
@@ -168,20 +168,33 @@ fn strip(
     let mut canvas = Canvas::new(row_px as i32 + 2 * GAP, GAP + step * images.len() as i32 + CAPTION);
     for (row, image) in images.iter().enumerate() {
         let y = GAP + row as i32 * step;
-        canvas.picture(image, GAP, y);
+        framed(&mut canvas, image, GAP, y);
         let from_um = row_um * row as f64;
         let deg_at = |um: f64| density.visual_deg(request.along.direction() * um);
         degree_marks(&mut canvas, y + ROW_PX[1] as i32, from_um, row_um, deg_at);
     }
     let y = canvas.area().bottom() - CAPTION + 2;
     let text = format!(
-        "From the foveal centre outwards, {} to the right; the numbers are visual degrees. {}",
+        "From the foveal centre outwards; right: {}, up: {}; numbers are visual degrees. {TYPES}",
         request.along.name(),
-        TYPES
+        up_of(request.along)
     );
     canvas.text(Font::Small, &text, GAP, y + 4, GREY);
     scale_bar(&mut canvas, GAP + row_px as i32, y, 50.0, STRIP_UM_PER_PX);
     Ok(canvas.finish())
+}
+
+/// A picture within a thin dark line.
+fn framed(canvas: &mut Canvas, image: &RgbImage, x: i32, y: i32) {
+    let [width, height] = [image.width as i32 + 2, image.height as i32 + 2];
+    canvas.rectangle(Rect { x: x - 1, y: y - 1, width, height }, DARK);
+    canvas.picture(image, x, y);
+}
+
+/// What is up when a meridian runs right.
+fn up_of(right: Meridian) -> &'static str {
+    let up = right.direction().perp();
+    Meridian::ALL.into_iter().find(|other| other.direction().dot(up) > 0.5).map_or("", Meridian::name)
 }
 
 /// A mark every quarter of a degree, with its number, under a row that begins at `from_um`.
@@ -229,6 +242,7 @@ mod tests {
             assert!((um_at(&density, along, 5.0) - 5.0 * 287.0).abs() < 1e-6);
             assert!(um_at(&density, along, 0.0) < 1e-6);
         }
+        assert_eq!((up_of(Meridian::Nasal), up_of(Meridian::Temporal)), ("superior", "inferior"));
     }
 
     #[test]
