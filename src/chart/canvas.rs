@@ -186,7 +186,7 @@ impl Canvas {
                     let at = (fine * row + k / fine) * fine * columns + fine * column + k % fine;
                     u32::from(self.fine[at][channel])
                 });
-                *value = (samples.sum::<u32>() as f64 / f64::from(FINE * FINE)).round() as u8;
+                *value = (f64::from(samples.sum::<u32>()) / f64::from(FINE * FINE)).round() as u8;
             }
         }
         for letters in &self.letters {

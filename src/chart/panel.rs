@@ -177,7 +177,7 @@ fn draw_titles(canvas: &mut Canvas, chart: &Chart, plot: &Plot, area: Rect) {
     let x = plot.area.x + (plot.area.width - width_of(Font::Small, &chart.x.title)) / 2;
     canvas.text(Font::Small, &chart.x.title, x, plot.area.bottom() + 9 + Font::Small.height(), DARK);
     let long = width_of(Font::Small, &chart.y.title);
-    let y = plot.area.y + (plot.area.height + long) / 2;
+    let y = plot.area.y + i32::midpoint(plot.area.height, long);
     canvas.text_upwards(Font::Small, &chart.y.title, area.x + 2, y, DARK);
 }
 
@@ -201,12 +201,11 @@ fn legend_rows(chart: &Chart, width: i32) -> Vec<Vec<Entry<'_>>> {
     for entry in series.chain(bands).filter(|entry| !entry.label.is_empty()) {
         let wide = entry_width(entry.label);
         used += wide;
-        match rows.last_mut().filter(|_| used <= width) {
-            Some(row) => row.push(entry),
-            None => {
-                used = wide;
-                rows.push(vec![entry]);
-            }
+        if let Some(row) = rows.last_mut().filter(|_| used <= width) {
+            row.push(entry);
+        } else {
+            used = wide;
+            rows.push(vec![entry]);
         }
     }
     rows

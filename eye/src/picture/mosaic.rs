@@ -130,7 +130,7 @@ impl MosaicView {
             let inset = self.inset(cones, cone);
             let tint = LIGHT[cones.cone_type[cone] as usize];
             let colour: [f32; 3] = std::array::from_fn(|i| tint[i] - BETWEEN[i]);
-            let outline = corners.iter().map(|c| c.to_array());
+            let outline = corners.iter().map(Vec2::to_array);
             raster::fill(outline, samples * width, samples * height, |at| {
                 let (row, column) = (at / (samples * width), at % (samples * width));
                 let share = lit(&corners, Vec2::new(column as f32 + 0.5, row as f32 + 0.5), inset);

@@ -124,7 +124,9 @@ fn share_x(charts: &mut [Chart]) {
     let shown = all.filter(|p| p.0.is_finite() && p.0 > 0.0 && p.1.is_finite());
     let (low, high) = shown.fold((f64::MAX, 0.0_f64), |(low, high), p| (low.min(p.0), high.max(p.0)));
     if low < high {
-        charts.iter_mut().for_each(|chart| chart.x.range = Some((0.9 * low, 1.1 * high)));
+        for chart in charts {
+            chart.x.range = Some((0.9 * low, 1.1 * high));
+        }
     }
 }
 
