@@ -2,7 +2,7 @@
 //!
 //! L cones are white, M cones a little darker and slightly greenish, S cones darker still and slightly bluish; what lies between
 //! apertures is dark. Where apertures fill their cells a thin dark wall is drawn, half on either side, so that single cells
-//! can be seen; where the gap is already as wide as the wall an aperture has its true size.
+//! can be seen; where the gap is already as wide as the wall an aperture keeps its true outline.
 //!
 //! # Orientation
 //! With [`Meridian::Nasal`] to the right, x_um (towards the optic disc) runs right and y_um (superior retina) up: a right eye's retina
@@ -22,9 +22,9 @@ use crate::retina::{Cones, RegionUm};
 /// Samples along the side of a pixel.
 const SAMPLES: u32 = 3;
 /// Width of a wall as a share of the side of a square as large as the cell.
-const WALL: f64 = 0.09;
+const WALL: f32 = 0.1;
 /// Least width of a wall, pixels.
-const WALL_PX: f64 = 0.7;
+const WALL_PX: f32 = 0.8;
 /// No cell reaches farther from its centre than this, µm.
 const REACH_UM: f64 = 20.0;
 /// Linear light of L, M and S cones.
@@ -127,13 +127,13 @@ impl MosaicView {
         let mut light = vec![[0.0_f32; 3]; width * height];
         for cone in 0..cones.len() {
             let corners = self.corners(cones, cone);
-            let inset = self.inset(cones, cone);
+            let edges = self.edges(cones, cone, &corners);
             let tint = LIGHT[cones.cone_type[cone] as usize];
             let colour: [f32; 3] = std::array::from_fn(|i| tint[i] - BETWEEN[i]);
             let outline = corners.iter().map(Vec2::to_array);
             raster::fill(outline, samples * width, samples * height, |at| {
                 let (row, column) = (at / (samples * width), at % (samples * width));
-                let share = lit(&corners, Vec2::new(column as f32 + 0.5, row as f32 + 0.5), inset);
+                let share = lit(&edges, Vec2::new(column as f32 + 0.5, row as f32 + 0.5));
                 let pixel = &mut light[row / samples * width + column / samples];
                 (0..3).for_each(|i| pixel[i] += share * colour[i]);
             });
@@ -147,42 +147,47 @@ impl MosaicView {
 
     /// Corners of a cone in samples, from the picture's upper left corner.
     fn corners(&self, cones: &Cones, cone: usize) -> Vec<Vec2> {
+        cones.polygon(cone).map(|corner| self.sample(corner)).collect()
+    }
+
+    /// A point of the chart in samples from the picture's upper left corner.
+    fn sample(&self, at: DVec2) -> Vec2 {
         let right = self.right.direction();
         let per_um = f64::from(SAMPLES) / self.um_per_px;
         let middle = 0.5 * f64::from(SAMPLES) * DVec2::new(self.size_px[0].into(), self.size_px[1].into());
-        let sample = |corner: DVec2| {
-            let from_centre = corner - self.centre_um;
-            let up = right.perp_dot(from_centre);
-            (middle + per_um * DVec2::new(right.dot(from_centre), -up)).as_vec2()
-        };
-        cones.polygon(cone).map(sample).collect()
+        let from_centre = at - self.centre_um;
+        let up = right.perp_dot(from_centre);
+        (middle + per_um * DVec2::new(right.dot(from_centre), -up)).as_vec2()
     }
 
-    /// What the wall takes from each side of an aperture, samples.
-    fn inset(&self, cones: &Cones, cone: usize) -> f32 {
-        let cell = f64::from(cones.cell_area_um2[cone]).max(0.0);
-        let coverage = (f64::from(cones.aperture_um2[cone]) / cell.max(1e-9)).clamp(0.0, 1.0);
-        let size = cell.sqrt();
-        let gap = 0.5 * size * (1.0 - coverage.sqrt());
-        let wall = 0.5 * (WALL * size).max(WALL_PX * self.um_per_px);
-        ((wall - gap).max(0.0) * f64::from(SAMPLES) / self.um_per_px) as f32
+    /// The edges of an aperture that need a wall. The aperture is its cell shrunk towards the cone's centre, so the gap at an edge is in
+    /// proportion to the edge's distance from the centre.
+    fn edges(&self, cones: &Cones, cone: usize, corners: &[Vec2]) -> Vec<Edge> {
+        let per_um = SAMPLES as f32 / self.um_per_px as f32;
+        let cell = cones.cell_area_um2[cone].max(1e-9);
+        let coverage = (cones.aperture_um2[cone] / cell).clamp(1e-3, 1.0);
+        let wall = 0.5 * (WALL * cell.sqrt()).max(WALL_PX * self.um_per_px as f32) * per_um;
+        let centre = self.sample(cones.center(cone));
+        let edge = |(i, &a): (usize, &Vec2)| {
+            let along = (corners[(i + 1) % corners.len()] - a).normalize_or_zero();
+            let gap = along.perp_dot(centre - a).abs() * (coverage.sqrt().recip() - 1.0);
+            (along != Vec2::ZERO && wall > gap).then_some(Edge { from: a, along, wall: wall - gap })
+        };
+        corners.iter().enumerate().filter_map(edge).collect()
     }
 }
 
-/// How much of a sample in a convex polygon is farther than `inset` from every edge, 0 to 1.
-fn lit(corners: &[Vec2], at: Vec2, inset: f32) -> f32 {
-    if inset <= 0.0 {
-        return 1.0;
-    }
-    let mut nearest = f32::MAX;
-    for (i, &a) in corners.iter().enumerate() {
-        let edge = corners[(i + 1) % corners.len()] - a;
-        let length = edge.length();
-        if length > 1e-6 {
-            nearest = nearest.min(edge.perp_dot(at - a).abs() / length);
-        }
-    }
-    (nearest - inset + 0.5).clamp(0.0, 1.0)
+/// A side of an aperture and what the wall takes from it, samples.
+struct Edge {
+    from: Vec2,
+    along: Vec2,
+    wall: f32,
+}
+
+/// How much of a sample in an aperture lies within all its walls, 0 to 1.
+fn lit(edges: &[Edge], at: Vec2) -> f32 {
+    let inside = |edge: &Edge| edge.along.perp_dot(at - edge.from).abs() - edge.wall + 0.5;
+    edges.iter().map(inside).fold(1.0, f32::min).max(0.0)
 }
 
 /// A band of retina from the foveal centre outwards, cut into rows (Figure 1).
@@ -293,8 +298,17 @@ mod tests {
         let image = MosaicView::patch(DVec2::ZERO, 8.0, 80).unwrap().draw(&cones);
         assert!(brightness(&image, 40, 40) < 100);
         assert!(brightness(&image, 36, 40) > 650 && brightness(&image, 60, 40) > 650);
-        // Half of 9 % of 4 µm at 10 pixels a µm: 1.8 pixels on each side.
+        // Half of 10 % of 4 µm at 10 pixels a µm: 2 pixels on each side.
         assert!(brightness(&image, 38, 40) < 500 && brightness(&image, 41, 40) < 500);
+    }
+
+    #[test]
+    fn apertures_with_a_wide_gap_keep_their_size() {
+        let mut cones = squares(&[(0.0, 0.0, ConeType::L)]);
+        cones.cell_area_um2[0] = 25.0;
+        let image = MosaicView::patch(DVec2::ZERO, 8.0, 80).unwrap().draw(&cones);
+        let lit = (0..80).flat_map(|row| (0..80).map(move |column| (column, row)));
+        assert_eq!(lit.filter(|(column, row)| brightness(&image, *column, *row) > 700).count(), 40 * 40);
     }
 
     #[test]
