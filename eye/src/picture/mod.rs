@@ -2,10 +2,18 @@
 //!
 //! The picture is upright as the viewer sees the screen. Cone types are white-balanced (each type's bright level becomes the same grey)
 //! and lightly tinted: L reddish, M greenish, S bluish. Cone ids are rasterized once per view; a frame is a look-up.
+//!
+//! `mosaic` draws the cones themselves, without counts (Figures 1, 8, 9).
 
+mod image;
+mod mosaic;
 mod raster;
 
 use crate::experiment::RangeError;
+use image::encode_srgb;
+
+pub use image::RgbImage;
+pub use mosaic::{Meridian, MosaicView, Strip, draw_each};
 
 /// Outlines and types of cones in retinal coordinates.
 #[derive(Clone, Debug, Default)]
@@ -124,12 +132,6 @@ fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let at = (values.len() as f64 * share) as usize;
     values.get(at).or(values.last()).copied().unwrap_or(0.0)
-}
-
-fn encode_srgb(light: f32) -> u8 {
-    let light = light.clamp(0.0, 1.0);
-    let value = if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
-    (value * 255.0 + 0.5) as u8
 }
 
 /// An 8-bit RGB PNG.

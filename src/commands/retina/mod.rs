@@ -1,5 +1,10 @@
 //! `retina`: the cones out to an eccentricity, as a table and figures.
 
+#[allow(dead_code, reason = "the command will draw with it")]
+mod pictures;
+#[allow(dead_code, reason = "the command will draw with it")]
+mod statistics_page;
+
 use std::process::Command;
 
 use glam::DVec2;
