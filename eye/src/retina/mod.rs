@@ -6,7 +6,8 @@
 //!
 //! From parameters to cones, file by file: `density` says how many; `lattice` lays patches of hexagonal lattice at that density; `relax` moves the
 //! cones by the force of `force`; `cells` draws their walls; `types` makes them L, M or S; `tile` does all that for one square of
-//! the chart as a pure function; `mosaic` holds the result; `index` finds the cone at a point; `statistics` compares with the targets.
+//! the chart as a pure function; `mosaic` holds the result; `index` finds the cone at a point; `statistics` compares with the targets;
+//! `graph` says which cones are neighbours, `receptive_field` makes centres and surrounds of them.
 
 mod cells;
 mod clip;
@@ -14,12 +15,14 @@ mod codec;
 mod density;
 mod field;
 mod force;
+mod graph;
 mod grid;
 mod index;
 mod lattice;
 mod local;
 mod mosaic;
 mod params;
+mod receptive_field;
 mod relax;
 mod statistics;
 mod tile;
@@ -28,6 +31,7 @@ mod visual;
 
 pub use density::Density;
 pub use force::{K1, K2, K3, K3_LIMIT, NEIGHBOUR, RADIUS_FACTOR, normalized_distance, spline};
+pub use graph::NeighbourGraph;
 pub use index::ConeIndex;
 pub use local::{Frame, Local, Metric, local};
 pub use mosaic::{ConeType, Cones, Counts, Retina, RetinaTile};
@@ -35,6 +39,7 @@ pub use params::{
     CellWalls, DensityLaw, Dropout, ExitPupil, Generator, OpticDisc, RetinaError, RetinaGeometry,
     RetinaParams,
 };
+pub use receptive_field::{FieldRow, ReceptiveField, Role};
 pub use statistics::{Band, Statistics, statistics, statistics_in_bands};
 pub use tile::{RegionUm, TILE_UM, TileId, build_region, build_tile, tiles_for};
 pub use visual::{Rim, VisualMap};
