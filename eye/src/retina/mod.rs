@@ -6,8 +6,8 @@
 //!
 //! From parameters to cones, file by file: `density` says how many; `lattice` lays patches of hexagonal lattice at that density; `relax` moves the
 //! cones by the force of `force`; `cells` draws their walls; `types` makes them L, M or S; `tile` does all that for one square of
-//! the chart as a pure function; `mosaic` holds the result; `index` finds the cone at a point; `census` and `statistics`
-//! compare with the targets.
+//! the chart as a pure function; `mosaic` holds the result; `index` finds the cone at a point; `census` and `statistics` compare with the
+//! targets; `graph` says which cones are neighbours, `receptive_field` makes centres and surrounds of them; `import` makes a retina of a measured mosaic (`table`).
 
 mod cells;
 mod census;
@@ -16,14 +16,18 @@ mod codec;
 mod density;
 mod field;
 mod force;
+mod graph;
 mod grid;
+mod import;
 mod index;
 mod lattice;
 mod local;
 mod mosaic;
 mod params;
+mod receptive_field;
 mod relax;
 mod statistics;
+mod table;
 mod tile;
 mod types;
 mod visual;
@@ -31,6 +35,8 @@ mod visual;
 pub use census::Census;
 pub use density::Density;
 pub use force::{K1, K2, K3, K3_LIMIT, NEIGHBOUR, RADIUS_FACTOR, normalized_distance, spline};
+pub use graph::NeighbourGraph;
+pub use import::import;
 pub use index::ConeIndex;
 pub use local::{Frame, Local, Metric, local};
 pub use mosaic::{ConeType, Cones, Counts, Retina, RetinaTile};
@@ -38,6 +44,8 @@ pub use params::{
     CellWalls, DensityLaw, Dropout, ExitPupil, Generator, OpticDisc, RetinaError, RetinaGeometry,
     RetinaParams,
 };
+pub use receptive_field::{FieldRow, ReceptiveField, Role};
 pub use statistics::{BANDS_DEG, Band, SECTORS, Sector, Statistics, statistics, statistics_in_bands};
+pub use table::{ImportError, LEAST_DISTANCE_UM, MAX_ROWS};
 pub use tile::{RegionUm, TILE_UM, TileId, build_region, build_tile, tiles_for};
 pub use visual::{Rim, VisualMap};

@@ -1,0 +1,235 @@
+//! The text of a measured mosaic: checked rows of places and types.
+//!
+//! Comma-separated lines with a header that names the columns `x_um`, `y_um` (µm of the chart) and `type` (L, M, S or 0, 1, 2), in any order and any
+//! case; other columns are ignored. Lines that start with # and empty lines are skipped; a byte-order mark, CRLF and values in double
+//! quotes (without line breaks in them) are accepted.
+
+use glam::DVec2;
+
+use super::field::Field;
+use super::mosaic::ConeType;
+use super::params::RetinaError;
+use super::relax::quantized;
+
+/// Most rows of a table.
+pub const MAX_ROWS: usize = 2_000_000;
+/// Two cones are at least this far apart, µm of the chart.
+pub const LEAST_DISTANCE_UM: f64 = 0.2;
+/// The columns needed.
+const COLUMNS: [&str; 3] = ["x_um", "y_um", "type"];
+
+/// Why a table is not a mosaic. Lines count from 1.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ImportError {
+    /// No row.
+    #[error("the table has no cone: give a header with x_um, y_um and type, and at least one row")]
+    Empty,
+    /// A column is not in the header.
+    #[error("line {line}: no column {column:?} in the header {header:?}; needed are x_um, y_um and type")]
+    MissingColumn {
+        /// The line of the header.
+        line: usize,
+        /// The column.
+        column: &'static str,
+        /// The header found.
+        header: String,
+    },
+    /// A column is in the header twice.
+    #[error("line {line}: column {column:?} is there more than once in the header")]
+    RepeatedColumn {
+        /// The line of the header.
+        line: usize,
+        /// The column.
+        column: &'static str,
+    },
+    /// A value is not what its column holds.
+    #[error("line {line}, column {column:?}: {value:?} is not {allowed}")]
+    Value {
+        /// The line.
+        line: usize,
+        /// The column.
+        column: &'static str,
+        /// The text found; empty when the line is too short.
+        value: String,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+    /// A cone lies where no cones live.
+    #[error(
+        "line {line}, columns x_um and y_um: ({x_um}, {y_um}) µm is outside the retina; allowed are places inside the ora (about 120 retinal degrees, 25,000 µm) and outside the optic disc"
+    )]
+    OutsideRetina {
+        /// The line.
+        line: usize,
+        /// The place.
+        x_um: f64,
+        /// The place.
+        y_um: f64,
+    },
+    /// Two cones are in one place.
+    #[error(
+        "line {line}, columns x_um and y_um: {distance_um:.3} µm from the cone of line {other}; allowed are {LEAST_DISTANCE_UM} µm or more"
+    )]
+    TooClose {
+        /// The later line.
+        line: usize,
+        /// The earlier line.
+        other: usize,
+        /// Their distance, µm of the chart.
+        distance_um: f64,
+    },
+    /// The table is too long.
+    #[error("line {line}: more than {MAX_ROWS} cones")]
+    TooMany {
+        /// The first line too many.
+        line: usize,
+    },
+    /// A parameter is out of range.
+    #[error(transparent)]
+    Params(#[from] RetinaError),
+}
+
+/// The rows of a table, field by field.
+#[derive(Debug, Default)]
+pub(super) struct Table {
+    /// Line of the row, from 1.
+    pub(super) line: Vec<usize>,
+    /// Place, µm of the chart.
+    pub(super) at: Vec<DVec2>,
+    pub(super) cone_type: Vec<ConeType>,
+}
+
+impl Table {
+    /// Reads and checks all rows.
+    pub(super) fn read(csv: &str, field: &Field) -> Result<Self, ImportError> {
+        let lines = csv.strip_prefix('\u{feff}').unwrap_or(csv).lines().enumerate();
+        let mut lines = lines
+            .map(|(k, text)| (k + 1, text.trim()))
+            .filter(|(_, text)| !text.is_empty() && !text.starts_with('#'));
+        let (line, header) = lines.next().ok_or(ImportError::Empty)?;
+        let columns = columns(line, header)?;
+        let mut table = Self::default();
+        for (line, text) in lines {
+            if table.at.len() == MAX_ROWS {
+                return Err(ImportError::TooMany { line });
+            }
+            let fields = split(text);
+            let value = |k: usize| fields.get(columns[k]).map_or("", String::as_str);
+            let at = DVec2::new(number(line, COLUMNS[0], value(0))?, number(line, COLUMNS[1], value(1))?);
+            table.cone_type.push(cone_type(line, value(2))?);
+            if !field.density.is_retina(at) {
+                return Err(ImportError::OutsideRetina { line, x_um: at.x, y_um: at.y });
+            }
+            table.line.push(line);
+            table.at.push(quantized(at));
+        }
+        if table.at.is_empty() { Err(ImportError::Empty) } else { Ok(table) }
+    }
+}
+
+/// Where the columns are.
+fn columns(line: usize, header: &str) -> Result<[usize; 3], ImportError> {
+    let names = split(header);
+    let mut found = [0; 3];
+    for (place, column) in found.iter_mut().zip(COLUMNS) {
+        let mut at = names.iter().enumerate().filter(|(_, name)| name.eq_ignore_ascii_case(column));
+        let Some((k, _)) = at.next() else {
+            return Err(ImportError::MissingColumn { line, column, header: excerpt(header) });
+        };
+        if at.next().is_some() {
+            return Err(ImportError::RepeatedColumn { line, column });
+        }
+        *place = k;
+    }
+    Ok(found)
+}
+
+/// The values of a line: between commas that are outside of double quotes, without quotes and blanks round them.
+fn split(text: &str) -> Vec<String> {
+    let mut fields = vec![String::new()];
+    let mut quoted = false;
+    for c in text.chars() {
+        match c {
+            '"' => quoted = !quoted,
+            ',' if !quoted => fields.push(String::new()),
+            other => {
+                if let Some(last) = fields.last_mut() {
+                    last.push(other);
+                }
+            }
+        }
+    }
+    fields.iter().map(|field| field.trim().to_owned()).collect()
+}
+
+/// The first 80 characters, for messages.
+fn excerpt(text: &str) -> String {
+    text.chars().take(80).collect()
+}
+
+fn number(line: usize, column: &'static str, text: &str) -> Result<f64, ImportError> {
+    let wrong = || ImportError::Value { line, column, value: excerpt(text), allowed: "a finite number, µm" };
+    text.parse().ok().filter(|x: &f64| x.is_finite()).ok_or_else(wrong)
+}
+
+fn cone_type(line: usize, text: &str) -> Result<ConeType, ImportError> {
+    match text {
+        "L" | "l" | "0" => Ok(ConeType::L),
+        "M" | "m" | "1" => Ok(ConeType::M),
+        "S" | "s" | "2" => Ok(ConeType::S),
+        _ => Err(ImportError::Value {
+            line,
+            column: COLUMNS[2],
+            value: excerpt(text),
+            allowed: "L, M or S, or 0, 1 or 2",
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{RetinaParams, import};
+    use super::*;
+
+    #[test]
+    fn tables_are_read_as_people_write_them() {
+        let text = "\u{feff}# measured\r\n\r\nName, TYPE ,\"Y_um\",x_UM\r\n\"a,b\",m,1.5,-2\r\n# more\r\nc,2,-3e0,\"4\"\r\nd,l,+9,9\r\n";
+        let params = RetinaParams::default();
+        let retina = import(text, &params).unwrap();
+        let mut rows: Vec<usize> = (0..3).collect();
+        rows.sort_unstable_by_key(|&i| retina.id[i]);
+        let found: Vec<(DVec2, ConeType)> =
+            rows.iter().map(|&i| (retina.center(i), retina.cone_type[i])).collect();
+        let want = [(-2.0, 1.5, ConeType::M), (4.0, -3.0, ConeType::S), (9.0, 9.0, ConeType::L)];
+        assert_eq!(found, want.map(|(x, y, t)| (DVec2::new(x, y), t)));
+        assert_eq!(retina, import(text, &params).unwrap());
+        let other = import(text, &RetinaParams { seed: 2, ..params }).unwrap();
+        assert_ne!(other.pointing, retina.pointing);
+    }
+
+    #[test]
+    fn errors_name_line_column_and_value() {
+        let message = |text: &str| import(text, &RetinaParams::default()).unwrap_err().to_string();
+        let head = "x_um,y_um,type\n";
+        for (text, words) in [
+            (String::new(), vec!["no cone", "x_um"]),
+            (head.to_owned(), vec!["no cone"]),
+            ("#c\nx,y_um,type\n1,2,L".to_owned(), vec!["line 2", "\"x_um\"", "x,y_um,type"]),
+            ("x_um,y_um,type,X_UM\n".to_owned(), vec!["line 1", "\"x_um\"", "more than once"]),
+            (format!("{head}1,2,L\n1,two,L"), vec!["line 3", "\"y_um\"", "\"two\"", "finite number"]),
+            (format!("{head}NaN,2,L"), vec!["line 2", "\"x_um\"", "\"NaN\""]),
+            (format!("{head}1,inf,L"), vec!["line 2", "\"y_um\"", "\"inf\""]),
+            (format!("{head}1,2"), vec!["line 2", "\"type\"", "\"\"", "L, M or S"]),
+            (format!("{head}1,2,3"), vec!["\"type\"", "\"3\""]),
+            (format!("{head}26000,0,L"), vec!["line 2", "(26000, 0)", "outside the retina", "ora"]),
+            (format!("{head}1,2,L\n9,9,L\n1.1,2.1,M"), vec!["line 4", "0.141", "line 2", "0.2"]),
+        ] {
+            let found = message(&text);
+            assert!(words.iter().all(|w| found.contains(w)), "{text:?}: {found}");
+        }
+        let params = RetinaParams { s_repulsion: 9.0, ..RetinaParams::default() };
+        assert!(matches!(import(head, &params), Err(ImportError::Params(_))));
+        let long = head.to_owned() + &"1,2,L\n".repeat(MAX_ROWS + 1);
+        assert_eq!(import(&long, &RetinaParams::default()), Err(ImportError::TooMany { line: MAX_ROWS + 2 }));
+    }
+}
