@@ -253,10 +253,15 @@ fn extremes_hold() {
     let nonsense = RetinaParams { peak_density_per_mm2: 1e9, ..RetinaParams::default() };
     assert!(matches!(build_region(&nonsense, &square(0.0, 0.0, 5.0)), Err(RetinaError::Parameter { .. })));
     // Near the ora, beyond it, and where no tile starts.
-    let ora = 119.0_f64.to_radians() * 12_000.0;
+    let ora = 126.5_f64.to_radians() * 12_000.0;
     let edge = build_region(&p, &square(-ora, 0.0, 400.0)).unwrap();
     assert!(!edge.is_empty() && edge.cell_area_um2.iter().all(|a| a.is_finite() && *a > 0.0));
-    assert!(edge.x_um.iter().zip(&edge.y_um).all(|(x, y)| x.hypot(*y) <= 120.0_f64.to_radians() * 12_000.0));
+    // The ora lies at 120° less 6 % of it times cos(meridian): 127.2° on the temporal side.
+    let beyond = |i: usize| {
+        let at = edge.center(i);
+        at.length() - (120.0 - 7.2 * at.x / at.length()).to_radians() * 12_000.0
+    };
+    assert!((0..edge.len()).all(|i| beyond(i) <= 0.0) && (0..edge.len()).any(|i| beyond(i) > -20.0));
     assert!(build_tile(&p, TileId { i: 64, j: 0 }).unwrap().is_empty());
     assert!(matches!(build_tile(&p, TileId { i: 65, j: 0 }), Err(RetinaError::NotATile { .. })));
 }
