@@ -21,6 +21,8 @@ mod local;
 mod mosaic;
 mod params;
 mod relax;
+#[allow(dead_code, reason = "called once build_region offers the ring generator")]
+mod ring;
 mod statistics;
 mod tile;
 mod types;
