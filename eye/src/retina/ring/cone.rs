@@ -4,13 +4,13 @@ use glam::DVec2;
 
 use super::super::field::Field;
 use super::super::local::Metric;
+use super::texture::texture;
 use crate::rng::{Purpose, Stream};
 
-/// Cone radius in units of half the hexagonal spacing of the target density: the drive towards the centre presses the cones
-/// together by about as much.
-pub(super) const RADIUS_FACTOR: f64 = 1.015;
-/// `b` of the random stream of a cone's kicks.
+/// `b` of the random stream of a cone's radius and kicks.
 const CONE_STREAM: u64 = 3;
+/// Radii stay within this many standard deviations.
+const RADIUS_SIGMAS: f64 = 2.5;
 
 /// A cone that is held in memory.
 #[derive(Clone, Debug)]
@@ -46,11 +46,15 @@ impl Cone {
     pub(super) fn born(field: &Field, id: u64, at: DVec2, ring: Option<u32>, factor: f64) -> Self {
         let here = field.local(at);
         let spacing = field.spacing_with(at, here.cos_tilt);
+        let texture = texture(field, at.length());
+        let mut stream = Stream::new(field.params.seed, Purpose::Mosaic, id, CONE_STREAM);
+        let normal = stream.normal_pair().0.clamp(-RADIUS_SIGMAS, RADIUS_SIGMAS);
+        let radius = texture.radius * (1.0 + texture.spread * normal);
         Self {
             id,
             at,
             metric: here.metric,
-            radius: 0.5 * RADIUS_FACTOR * factor * spacing,
+            radius: 0.5 * radius * factor * spacing,
             spacing,
             ring,
             free_until: 0,
@@ -58,7 +62,7 @@ impl Cone {
             searched: false,
             limited: 0,
             coincident: 0,
-            stream: Stream::new(field.params.seed, Purpose::Mosaic, id, CONE_STREAM),
+            stream,
         }
     }
 }

@@ -1,11 +1,12 @@
 //! Where the next ring is placed, and how its spacing is held to the target density.
 //!
 //! The edge of the retina is the last ring, its eccentricity averaged over nine cones. The new ring runs 0.87 spacings outside it, measured across
-//! the cones, so rings are not circles: spacings differ by meridian and tilt. Along it the cones are one spacing apart, from a random start.
+//! the cones, so rings are not circles: spacings differ by meridian and tilt. Along it the cones are one spacing apart, from a random start, and each is moved at random by up to half a
+//! spacing along the ring and 0.3 across; an even ring would grow into a lattice with hardly a fault.
 //!
 //! Feedback. The drive towards the centre and the disorder change the density that a nominal radius leads to by a few per cent. Let S be the area that
 //! the target allots to the cones born so far and A the area inside the edge, both on the chart. The next ring's spacing and radii are multiplied by
-//! factor = 1 + ½·(S - A)/(area of 20 rows), kept within ±6 %: the surplus is worked off over 20 rows.
+//! factor = 1 + ½·(S - A)/(area of 10 rows), kept within ±6 %: the surplus is worked off over 10 rows.
 //! It stops when the first part of the edge has reached the ora.
 
 use glam::DVec2;
@@ -19,17 +20,23 @@ use crate::rng::{Purpose, Stream};
 
 /// Distance of the new ring from the last, in spacings.
 const ROW: f64 = 0.87;
+/// Largest random change of a place along and across the ring, in spacings.
+const JITTER: [f64; 2] = [0.5, 0.3];
 /// Cones on either side over which the edge is averaged.
 const WINDOW: usize = 4;
 /// A wider gap between cones of the last ring, in spacings, is not bridged.
 const GAP: f64 = 6.0;
 /// Rows that are grown beyond the ora, for the cells inside it.
 const ROWS_BEYOND: f64 = 12.0;
+/// The cones born so far fill the area up to this many rows outside the last ring, once settled: the outer rows are still loose.
+const EDGE_ROWS: f64 = -0.1;
 /// Rows over which a surplus is worked off, and the largest change of spacing.
-const REPAIR_ROWS: f64 = 20.0;
+const REPAIR_ROWS: f64 = 10.0;
 const LARGEST_CHANGE: f64 = 0.06;
 /// `b` of the random stream of a ring's start.
 const RING_STREAM: u64 = 4;
+/// `b` of the random stream of a place on a ring.
+const JITTER_STREAM: u64 = 5;
 /// Cones of the seed.
 pub(super) const SEED_CONES: usize = 7;
 
@@ -51,6 +58,8 @@ struct Vertex {
     at: DVec2,
     metric: Metric,
     spacing: f64,
+    /// Distance from the edge, µm of the chart.
+    row: f64,
     /// Short of the ora.
     inside: bool,
 }
@@ -77,9 +86,8 @@ impl Front {
         self.rho = edge.iter().map(|e| e.length()).sum::<f64>() / edge.len().max(1) as f64;
         let vertices: Vec<Vertex> = edge.iter().map(|&e| self.vertex(field, e)).collect();
         self.closed &= vertices.iter().all(|v| v.inside);
-        let lengths: Vec<f64> = (0..edge.len())
-            .map(|i| self.length(&vertices[i], &vertices[(i + 1) % vertices.len()]))
-            .collect();
+        let lengths: Vec<f64> =
+            (0..edge.len()).map(|i| self.length(&vertices[i], &vertices[(i + 1) % vertices.len()])).collect();
         let total = lengths.iter().sum::<f64>();
         let count = total.round();
         if count < 1.0 {
@@ -95,7 +103,12 @@ impl Front {
                 let t = (next - passed) / length;
                 let chord = a + (b - a) * t;
                 let rho = a.length() + (b.length() - a.length()) * t;
-                places.push(chord * (rho / chord.length()));
+                let place = chord * (rho / chord.length());
+                let id = (u64::from(number) << 32) | places.len() as u64;
+                let mut stream = Stream::new(field.params.seed, Purpose::Mosaic, id, JITTER_STREAM);
+                let [along, out] = JITTER.map(|j| j * (2.0 * stream.uniform() - 1.0));
+                let row = vertices[i].row / (ROW * place.length());
+                places.push(place + (b - a) * (along / length) + place * (out * row));
                 next += step;
             }
             passed += length;
@@ -109,7 +122,7 @@ impl Front {
         let (rho, out) = (edge.length(), edge / edge.length());
         let row = ROW * spacing / here.metric.length2(out).sqrt();
         let inside = rho < field.density.ora_toward_um(edge) + ROWS_BEYOND * row;
-        Vertex { at: out * (rho + row), metric: here.metric, spacing, inside }
+        Vertex { at: out * (rho + row), metric: here.metric, spacing, row, inside }
     }
 
     /// Length of the curve between two vertices in spacings; 0 where no cones are wanted.
@@ -136,14 +149,13 @@ impl Front {
         for (i, cone) in last.iter().enumerate() {
             let (a, b) = (edge[i], edge[(i + 1) % edge.len()]);
             let row = ROW * cone.spacing / cone.metric.length2(a / a.length()).sqrt();
-            let rho = 0.5 * (a.length() + b.length()) + 0.5 * row;
+            let rho = 0.5 * (a.length() + b.length()) + EDGE_ROWS * row;
             let angle = angle_between(a, b);
             area += 0.5 * rho * rho * angle;
             row_area += rho * row * angle;
         }
         let surplus = self.settled_um2 + moving - area;
-        self.factor =
-            1.0 + (0.5 * surplus / (REPAIR_ROWS * row_area)).clamp(-LARGEST_CHANGE, LARGEST_CHANGE);
+        self.factor = 1.0 + (0.5 * surplus / (REPAIR_ROWS * row_area)).clamp(-LARGEST_CHANGE, LARGEST_CHANGE);
     }
 }
 

@@ -25,6 +25,7 @@ mod sectors;
 mod settle;
 #[cfg(test)]
 mod tests;
+mod texture;
 mod walls;
 
 use glam::DVec2;
@@ -153,7 +154,7 @@ impl<'a> Growth<'a> {
         }
         self.ring = number;
         self.live = settle::sorted(&self.live);
-        let sub_cycles = settle::sub_cycles(self.field, self.front.rho);
+        let sub_cycles = texture::texture(self.field, self.front.rho).sub_cycles;
         let Settled { bodies, pairs, last_step } = settle::settle(&mut self.live, sub_cycles, &self.kicks);
         let depth = self.depth(&bodies, &pairs);
         let removed = repair::degenerate(&self.live, &bodies, &pairs, &depth);

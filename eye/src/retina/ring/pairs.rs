@@ -50,8 +50,7 @@ pub(super) struct Pairs {
 impl Pairs {
     /// All pairs with D < `limit`.
     pub(super) fn within(bodies: &[Body], sectors: &Sectors, limit: f64) -> Self {
-        let mut pairs =
-            Self { start: vec![0], other: Vec::with_capacity(10 * bodies.len()), at: Vec::new() };
+        let mut pairs = Self { start: vec![0], other: Vec::with_capacity(10 * bodies.len()), at: Vec::new() };
         for (i, body) in bodies.iter().enumerate() {
             let reach = limit * (1.0 + ALIKE) * body.radius / body.metric.shortest();
             sectors.near(body.at, reach, |items| {

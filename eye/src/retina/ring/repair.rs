@@ -46,7 +46,13 @@ pub(super) fn degenerate(cones: &[Cone], bodies: &[Body], pairs: &Pairs, depth: 
 }
 
 /// Places of new cones in the voids next to cones that are due for a search.
-pub(super) fn voids(cones: &mut [Cone], bodies: &[Body], pairs: &Pairs, depth: &[u8], freeze: u8) -> Vec<DVec2> {
+pub(super) fn voids(
+    cones: &mut [Cone],
+    bodies: &[Body],
+    pairs: &Pairs,
+    depth: &[u8],
+    freeze: u8,
+) -> Vec<DVec2> {
     let due = |c: &Cone, d: u8| d != FAR && !c.frozen && d >= if c.searched { freeze } else { SETTLED };
     let links = pairs.both_ways(bodies, BOUNDING);
     let circle = directions(12);

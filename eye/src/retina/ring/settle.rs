@@ -3,8 +3,6 @@
 //! p' = p + K1·r·toward + K2·r·random - K3·r·Σ spline(D)·(n - p)/|n - p|, all cones at once, at most 0.2 r; `toward` is the unit vector to the
 //! foveal centre across the cone, `random` has a length from 0 to 1 in any direction, K2 falls linearly to 0 over the sub-cycles.
 //!
-//! Fewer sub-cycles leave the mosaic less regular (§15.4): 41 at the fovea, fewer where rods appear between the cones.
-//!
 //! # Stability
 //! K3 = 0.2 is below the limit of 0.208 (`force`).
 //!
@@ -14,7 +12,6 @@
 use glam::DVec2;
 
 use super::super::clip::directions;
-use super::super::field::Field;
 use super::super::force::{limited, push};
 use super::cone::Cone;
 use super::pairs::{Body, Pairs, distance2};
@@ -28,21 +25,10 @@ const K1: f64 = 0.01;
 const K2: f64 = 0.2;
 /// Strength of the repulsion.
 pub(super) const K3: f64 = 0.2;
-/// (visual degrees on the scale of the fovea, sub-cycles); linear between, constant beyond.
-const SUB_CYCLES: [(f64, f64); 4] = [(0.0, 41.0), (0.5, 41.0), (1.0, 20.0), (2.0, 16.0)];
 /// Directions of the random kicks.
 const KICKS: usize = 1_024;
 /// D up to which the wide list has to be right at the end.
 const KNOWN: f64 = 1.5;
-
-/// Sub-cycles of a ring at an eccentricity, µm.
-pub(super) fn sub_cycles(field: &Field, rho: f64) -> u32 {
-    let deg = rho * field.params.geometry.visual.deg_per_um();
-    let i = SUB_CYCLES.partition_point(|t| t.0 <= deg).min(SUB_CYCLES.len() - 1);
-    let (a, b) = (SUB_CYCLES[i.saturating_sub(1)], SUB_CYCLES[i]);
-    let t = ((deg - a.0) / (b.0 - a.0)).clamp(0.0, 1.0);
-    field.params.cycles.unwrap_or_else(|| (a.1 + t * (b.1 - a.1)).round() as u32)
-}
 
 /// Constants of a cone's steps, µm of the chart.
 struct Drive {
@@ -160,7 +146,8 @@ fn step(
         let word = cone.stream.word();
         let size = left * f64::from(word >> 10) / f64::from(1_u32 << 22);
         let kick = kicks[word as usize % KICKS] * size;
-        let wanted = (K3 * body.radius) * sums[i] + drive.toward + drive.kick[0] * kick.x + drive.kick[1] * kick.y;
+        let wanted =
+            (K3 * body.radius) * sums[i] + drive.toward + drive.kick[0] * kick.x + drive.kick[1] * kick.y;
         let length2 = body.metric.length2(wanted);
         let (step, cut) = limited(wanted, length2, body.radius);
         body.at += step;
