@@ -279,6 +279,12 @@ impl Density {
         self.ora_at(-1.0) / self.deg_per_um
     }
 
+    /// Eccentricity of the ora in the direction of a point, µm of arc.
+    pub(super) fn ora_toward_um(&self, at_um: DVec2) -> f64 {
+        let rho = at_um.length();
+        self.ora_at(if rho > 0.0 { at_um.x / rho } else { 1.0 }) / self.deg_per_um
+    }
+
     /// Whether cones live here: inside the ora and outside the optic disc.
     pub fn is_retina(&self, at_um: DVec2) -> bool {
         let rho = at_um.length();

@@ -194,6 +194,12 @@ pub enum RetinaError {
         /// Lower left corner.
         y_um: f64,
     },
+    /// The ring generator's growth came to a stop; it does not happen for allowed parameters.
+    #[error("growth stopped at {rho_um} µm from the foveal centre")]
+    Stalled {
+        /// Mean eccentricity of the last ring.
+        rho_um: f64,
+    },
     /// Stored bytes are not a retina, or are damaged.
     #[error("stored retina: {0}")]
     Bytes(&'static str),
