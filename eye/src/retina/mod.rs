@@ -29,6 +29,7 @@ mod relax;
 #[allow(dead_code, reason = "called once build_region offers the ring generator")]
 mod ring;
 mod statistics;
+mod synthesize;
 mod table;
 mod tile;
 mod types;
@@ -48,6 +49,7 @@ pub use params::{
 };
 pub use receptive_field::{FieldRow, ReceptiveField, Role};
 pub use statistics::{BANDS_DEG, Band, SECTORS, Sector, Statistics, statistics, statistics_in_bands};
+pub use synthesize::synthesize;
 pub use table::{ImportError, LEAST_DISTANCE_UM, MAX_ROWS};
 pub use tile::{RegionUm, TILE_UM, TileId, build_region, build_tile, tiles_for};
 pub use visual::{Rim, VisualMap};

@@ -244,6 +244,16 @@ impl Retina {
         Self { region: *region, params: params.clone(), cones }
     }
 
+    /// The cones in a rectangle, in order; without counts, which are of the whole.
+    pub(super) fn part(&self, rectangle: &RegionUm) -> Cones {
+        let mut part = Cones::default();
+        part.start();
+        for i in (0..self.len()).filter(|&i| rectangle.contains(self.center(i))) {
+            part.push_from(&self.cones, i);
+        }
+        part
+    }
+
     /// Number of cones.
     pub fn len(&self) -> usize {
         self.cones.len()

@@ -8,8 +8,7 @@
 //! bit by bit along their borders.
 //!
 //! # Cost
-//! Measured on a busy 2-core machine: 11 µs of processor time per cone, tiles and halos over the whole retina; 29,449 cones of the fovea (±350 µm) in
-//! 0.21 s and 40,447 in 0.33 s of wall time by `build_region` on two threads.
+//! Larger tiles have less halo a cone; see `cargo bench -p photoneye-eye --bench retina`.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -18,8 +17,9 @@ use serde::{Deserialize, Serialize};
 use super::cells::{Cells, build_cells};
 use super::field::Field;
 use super::mosaic::{Cones, Retina, RetinaTile, morton};
-use super::params::{RetinaError, RetinaParams};
+use super::params::{Generator, RetinaError, RetinaParams};
 use super::relax::{Relaxed, relax};
+use super::synthesize::grow;
 use super::types::{Kind, assign};
 
 /// Side of the smallest tile, µm of the chart.
@@ -143,7 +143,8 @@ pub fn tiles_for(region: &RegionUm) -> Vec<TileId> {
     tiles
 }
 
-/// The cones of one tile: a pure function of parameters and tile.
+/// The cones of one tile: a pure function of parameters and tile. With the ring generator the disc out to the tile's far corner is grown
+/// for it.
 ///
 /// # Errors
 /// Parameters out of range, or a tile that is not one of the tiling.
@@ -154,7 +155,10 @@ pub fn build_tile(p: &RetinaParams, t: TileId) -> Result<RetinaTile, RetinaError
     if region.distance_to_origin() > field.density.ora_um() {
         return Ok(RetinaTile { tile: t, params: p.clone(), cones: Cones::default() });
     }
-    let cones = build_cones(&field, &region)?;
+    let cones = match p.generator {
+        Generator::Domain => build_cones(&field, &region)?,
+        Generator::Ring => grow(&field, &region)?.cones,
+    };
     Ok(RetinaTile { tile: t, params: p.clone(), cones })
 }
 
@@ -200,6 +204,12 @@ fn collect(field: &Field, region: &RegionUm, relaxed: &Relaxed, cells: &Cells, k
 pub fn build_region(p: &RetinaParams, region: &RegionUm) -> Result<Retina, RetinaError> {
     p.validate()?;
     let field = Field::new(p);
+    if p.generator == Generator::Ring {
+        return match region.within(LIMIT_UM) {
+            Some(_) => grow(&field, region),
+            None => Ok(Retina::gather(&[], region, p)),
+        };
+    }
     let mut parts = Vec::new();
     if let Some(inside) = region.within(LIMIT_UM) {
         let share = expected_cones(&field, &inside) / rayon::current_num_threads() as f64;
