@@ -143,7 +143,7 @@ impl Front {
         if !self.closed || last.len() < SEED_CONES {
             return;
         }
-        let moving: f64 = live.iter().filter(|c| !c.frozen).map(|c| allotted_um2(c)).sum();
+        let moving: f64 = live.iter().filter(|c| !c.frozen).map(allotted_um2).sum();
         let edge = smooth_edge(last);
         let (mut area, mut row_area) = (0.0, 0.0);
         for (i, cone) in last.iter().enumerate() {

@@ -142,7 +142,7 @@ fn collect<'a>(
     out: &mut Cones,
     flags: impl Fn(usize) -> [bool; 3],
 ) {
-    for i in 0..batch.id.len() {
+    for (i, &kind) in kinds.iter().enumerate() {
         let at = batch.at[i];
         if batch.rows[i] > 0.0 || !field.keeps(batch.id[i], at) {
             continue;
@@ -154,6 +154,6 @@ fn collect<'a>(
         out.counts.voids += u64::from(void);
         out.counts.concave += u64::from(concave);
         let area_factor = batch.metric[i].area_factor();
-        out.push(batch.id[i], at, kinds[i], polygon(i), area_factor, field.density.coverage(at));
+        out.push(batch.id[i], at, kind, polygon(i), area_factor, field.density.coverage(at));
     }
 }

@@ -6,7 +6,7 @@ use super::*;
 use crate::retina::grid::Grid;
 use crate::retina::mosaic::Retina;
 use crate::retina::params::{CellWalls, Generator, RetinaParams};
-use crate::retina::statistics::{Band, statistics, statistics_in_bands};
+use crate::retina::statistics::statistics_in_bands;
 
 fn square(x: f64, y: f64, half: f64) -> RegionUm {
     RegionUm { min: DVec2::new(x - half, y - half), max: DVec2::new(x + half, y + half) }
@@ -167,60 +167,6 @@ fn walls_are_convex_and_shared() {
 }
 
 #[test]
-#[ignore = "study"]
-fn study() {
-    let half: f64 = std::env::var("HALF").map_or(300.0, |s| s.parse().unwrap());
-    let cycles: Option<u32> = std::env::var("CYCLES").ok().map(|s| s.parse().unwrap());
-    let cell_walls = if std::env::var("AVG").is_ok() {
-        crate::retina::params::CellWalls::Averaging
-    } else {
-        crate::retina::params::CellWalls::Power
-    };
-    let p = RetinaParams {
-        cycles,
-        cell_walls,
-        generator: crate::retina::params::Generator::Ring,
-        ..RetinaParams::default()
-    };
-    let t = std::time::Instant::now();
-    let region = RegionUm { min: DVec2::splat(-half), max: DVec2::splat(half) };
-    let field = Field::new(&p);
-    let mut parts = Vec::new();
-    if std::env::var("TRACE").is_ok() {
-        let mut growth = Growth::new(&field);
-        for n in 2..150 {
-            growth.cycle(n);
-            if n % 10 == 0 {
-                println!("{n} {:.3} {:.4}", growth.front.rho / 287.0, growth.front.factor);
-            }
-        }
-    }
-    let report = grow(&field, &region, &mut |c| parts.push(c)).unwrap();
-    let r = Retina::gather(&parts.iter().collect::<Vec<_>>(), &region, &p);
-    println!("within 1.5: {:.3}", neighbours_within(&r, 0.75 * half));
-    let e = t.elapsed().as_secs_f64();
-    println!(
-        "{} kept, {:.2} s, {:.2} µs per cone grown\n{report:?}\n{:?}",
-        r.len(),
-        e,
-        e * 1e6 / report.cones_grown as f64,
-        r.counts
-    );
-    if half > 10_000.0 {
-        return;
-    }
-    let s = statistics(&r);
-    for b in s.bands.iter().chain([&s.all]) {
-        let Band { from_deg, cones, six_share, within_1_5, nearest_mean, nearest_sd, psi6, .. } = b;
-        println!(
-            "{from_deg:6} n {cones} ratio {:.4} six {six_share:.3} w {within_1_5:.3} near {nearest_mean:.3} {nearest_sd:.3} psi6 {psi6:.3} S {:.4}",
-            b.density_ratio(),
-            b.s_share()
-        );
-    }
-}
-
-#[test]
 #[ignore = "the whole retina: minutes"]
 fn whole() {
     const EDGES: [f64; 14] = [0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0, 110.0];
@@ -244,6 +190,15 @@ fn whole() {
             *a += b;
         }
         size = size.max(c.len() as f64);
+        if c.counts.close_pairs > 5 {
+            let mid = c.center(c.len() / 2);
+            println!(
+                "close {} of {}: {mid}, {:.1} deg retinal",
+                c.counts.close_pairs,
+                c.len(),
+                (mid.length() / 12_000.0).to_degrees()
+            );
+        }
     })
     .unwrap();
     let (mut rho, r) = (0.0, p.geometry.radius_um);
