@@ -29,6 +29,27 @@ pub struct RetinaArgs {
     /// Cone table, an Arrow file
     #[arg(long, value_name = "FILE.arrow")]
     pub out: PathBuf,
+    /// A measured mosaic instead of a grown one: CSV with x_um, y_um (µm of arc from the foveal centre) and type (L, M, S)
+    #[arg(long, value_name = "FILE.csv")]
+    pub import: Option<PathBuf>,
+    /// Statistics as JSON
+    #[arg(long, value_name = "FILE.json")]
+    pub statistics: Option<PathBuf>,
+    /// Pictures into this folder: statistics.png, patches.png, fovea.png, strip.png
+    #[arg(long, value_name = "DIR")]
+    pub png: Option<PathBuf>,
+    /// Neighbour graph: CSV with a row for every pair of cones that share a wall (row numbers of the cone table)
+    #[arg(long, value_name = "FILE.csv")]
+    pub neighbours: Option<PathBuf>,
+    /// Receptive fields of all cones: CSV with field, cone, generation, role (row numbers of the cone table)
+    #[arg(long, value_name = "FILE.csv")]
+    pub fields: Option<PathBuf>,
+    /// Generations of neighbours in the centre of a receptive field; 0 is the cone alone
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=8))]
+    pub centre_generations: u8,
+    /// Generations of neighbours in its surround
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
+    pub surround_generations: u8,
 }
 
 /// How a mosaic grows.

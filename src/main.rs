@@ -1,6 +1,5 @@
 //! The command line of photoneye: reads what the user asks, starts or calls the service, and tells what came out.
 
-#[allow(dead_code, reason = "`retina` and `study` draw with it")]
 mod chart;
 mod cli;
 mod cli_optics;

@@ -92,6 +92,17 @@ impl Draft {
 /// # Errors
 /// When the place cannot be written.
 pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    write_with(path, |file| file.write_all(bytes).map_err(|e| Failure::file("write", path, &e)))
+}
+
+/// Writes a file by `write`, whole or not at all.
+///
+/// # Errors
+/// When the place cannot be written, or `write` fails.
+pub fn write_with(
+    path: &Path,
+    write: impl FnOnce(&mut fs::File) -> Result<(), Failure>,
+) -> Result<(), Failure> {
     let parent = match path.parent() {
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),
@@ -99,7 +110,7 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     let failed = |e: std::io::Error| Failure::file("write", path, &e);
     fs::create_dir_all(parent).map_err(failed)?;
     let mut draft = tempfile::NamedTempFile::new_in(parent).map_err(failed)?;
-    draft.write_all(bytes).map_err(failed)?;
+    write(draft.as_file_mut())?;
     draft.persist(path).map_err(|e| failed(e.error))?;
     #[cfg(unix)]
     {

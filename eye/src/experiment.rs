@@ -8,9 +8,12 @@ use serde::{Deserialize, Serialize};
 use crate::digest::{Digest, digest_of};
 use crate::display::Display;
 use crate::optics::{Dispersion, Side};
+use crate::retina::{
+    CellWalls, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry, RetinaParams,
+};
 
 /// Version of the counts that an experiment gives; rises whenever the same experiment gives other counts.
-pub const COUNTS_VERSION: u32 = 1;
+pub const COUNTS_VERSION: u32 = 2;
 
 /// What a user asks for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,13 +63,6 @@ pub struct Eye {
     pub pointing_sd_deg: f64,
 }
 
-/// How the mosaic grows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Generator {
-    /// Patches of hexagonal lattice, relaxed; tiles are pure functions.
-    Domain,
-}
-
 /// The cone mosaic.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Retina {
@@ -76,8 +72,24 @@ pub struct Retina {
     pub generator: Generator,
     /// Peak density on Curcio's scale, 1/mm².
     pub peak_density_per_mm2: f64,
+    /// The law of density.
+    pub density: DensityLaw,
+    /// Cones of the whole retina; `None`: what the law gives.
+    pub total_cones: Option<f64>,
+    /// Relaxation sub-cycles everywhere; `None`: as living mosaics ask for.
+    pub cycles: Option<u32>,
+    /// How cells are formed.
+    pub cell_walls: CellWalls,
     /// Shares of L, M, S outside the S-free centre; they sum to 1.
     pub cone_ratio: [f64; 3],
+    /// Hard core of S cones in their mean spacings.
+    pub s_repulsion: f64,
+    /// Where S cones begin and where they have their full share, visual degrees.
+    pub s_ramp_deg: [f64; 2],
+    /// Cones lost at random.
+    pub dropout: Option<Dropout>,
+    /// Whether the optic disc is a hole.
+    pub optic_disc: bool,
     /// A fixed patch, visual degrees x_min, x_max, y_min, y_max; `None`: the scene decides.
     pub region_deg: Option<[f64; 4]>,
 }
@@ -298,11 +310,54 @@ impl Eye {
     }
 }
 
+impl Default for Retina {
+    /// The mosaic of the defaults, its patch left to the scene.
+    fn default() -> Self {
+        let p = RetinaParams::default();
+        Self {
+            seed: p.seed,
+            generator: p.generator,
+            peak_density_per_mm2: p.peak_density_per_mm2,
+            density: p.density,
+            total_cones: p.total_cones,
+            cycles: p.cycles,
+            cell_walls: p.cell_walls,
+            cone_ratio: p.cone_ratio,
+            s_repulsion: p.s_repulsion,
+            s_ramp_deg: p.s_ramp_deg,
+            dropout: p.dropout,
+            optic_disc: p.optic_disc.is_some(),
+            region_deg: None,
+        }
+    }
+}
+
 impl Retina {
+    /// The parameters of the mosaic in an eye of which the pointing error (degrees) and the geometry are given.
+    pub fn params(&self, pointing_sd_deg: f64, geometry: RetinaGeometry) -> RetinaParams {
+        RetinaParams {
+            seed: self.seed,
+            generator: self.generator,
+            density: self.density,
+            peak_density_per_mm2: self.peak_density_per_mm2,
+            total_cones: self.total_cones,
+            cycles: self.cycles,
+            cell_walls: self.cell_walls,
+            cone_ratio: self.cone_ratio,
+            s_ramp_deg: self.s_ramp_deg,
+            s_repulsion: self.s_repulsion,
+            pointing_sd_deg,
+            dropout: self.dropout,
+            optic_disc: self.optic_disc.then(OpticDisc::default),
+            geometry,
+        }
+    }
+
     fn validate(&self) -> Result<(), RangeError> {
-        check_range("retina.peak_density_per_mm2", self.peak_density_per_mm2, 98_200.0, 324_100.0)?;
-        for (name, share) in ["l", "m", "s"].iter().zip(self.cone_ratio) {
-            check_range(&format!("retina.cone_ratio.{name}"), share, 0.0, 1.0)?;
+        if let Err(RetinaError::Parameter { field, value, allowed }) =
+            self.params(1.0, RetinaGeometry::default()).validate()
+        {
+            return Err(RangeError::new(&format!("retina.{field}"), value, allowed));
         }
         if let Some([x0, x1, y0, y1]) = self.region_deg {
             check_range("retina.region_deg.x_min", x0, -MAX_REGION_DEG, MAX_REGION_DEG)?;

@@ -123,7 +123,7 @@ async fn both_doors_give_the_same_verdict() {
     for (part, value) in [
         ("eye", json!({"pupil_mm": 99})),
         ("eye", json!({"preset": "cat"})),
-        ("retina", json!({"generator": "RING"})),
+        ("retina", json!({"cell_walls": "AVERAGING"})),
         ("video", json!({"clip": {"blobs": [BlobDigest::of(b"absent").to_string()]}})),
         ("display", json!({"preset": "lcos-3chip", "distance_cm": -0.0})),
         ("gaze", json!({"center_px": [1, 2, 3]})),

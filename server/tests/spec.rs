@@ -81,7 +81,11 @@ fn errors_name_the_field_and_what_is_allowed() {
             json!({"stiles_crawford": {"rho_per_mm2": 1}}),
             "eye.stiles_crawford.rho_per_mm2: 1 is out of range",
         ),
-        ("retina", json!({"generator": "RING"}), "retina.generator: `RING` is not built yet"),
+        (
+            "retina",
+            json!({"cell_walls": "AVERAGING"}),
+            "retina.cell_walls: 1 is not allowed, allowed are AVERAGING with",
+        ),
         ("retina", json!({"region_deg": {"x_min": 0}}), "retina.region_deg.x_max: is missing"),
         (
             "retina",

@@ -4,7 +4,7 @@
 //! tile and the first cone's row in the schema's metadata, packed with zstd 1.
 
 use std::collections::HashMap;
-use std::io::Cursor;
+use std::io::{Cursor, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
@@ -145,6 +145,43 @@ pub struct Chunk {
 /// # Errors
 /// When the columns differ in length.
 pub fn cones_file(cones: &ConeColumns) -> Result<Vec<u8>, TableError> {
+    let mut writer = ConesWriter::new(Vec::new())?;
+    writer.push(cones)?;
+    writer.finish()
+}
+
+/// Writes a cone table piece by piece, a record batch each.
+pub struct ConesWriter<W: Write>(FileWriter<W>);
+
+impl<W: Write> ConesWriter<W> {
+    /// Begins a table.
+    ///
+    /// # Errors
+    /// When `out` cannot be written.
+    pub fn new(out: W) -> Result<Self, TableError> {
+        let schema = cones_batch(&ConeColumns::default())?.schema();
+        Ok(Self(FileWriter::try_new(out, &schema)?))
+    }
+
+    /// Adds rows.
+    ///
+    /// # Errors
+    /// When the columns differ in length or the table cannot be written.
+    pub fn push(&mut self, cones: &ConeColumns) -> Result<(), TableError> {
+        Ok(self.0.write(&cones_batch(cones)?)?)
+    }
+
+    /// Ends the table and gives back what it was written to.
+    ///
+    /// # Errors
+    /// When the table cannot be written.
+    pub fn finish(self) -> Result<W, TableError> {
+        Ok(self.0.into_inner()?)
+    }
+}
+
+/// Rows as a record batch.
+fn cones_batch(cones: &ConeColumns) -> Result<RecordBatch, TableError> {
     let starts = if cones.polygon_start.is_empty() { &[0][..] } else { &cones.polygon_start };
     let ordered = starts.is_sorted() && starts.first() == Some(&0);
     if !ordered
@@ -170,9 +207,7 @@ pub fn cones_file(cones: &ConeColumns) -> Result<Vec<u8>, TableError> {
     ];
     let batch =
         RecordBatch::try_from_iter_with_nullable(columns.into_iter().map(|(name, a)| (name, a, false)))?;
-    let mut writer = FileWriter::try_new(Vec::new(), &batch.schema())?;
-    writer.write(&batch)?;
-    Ok(writer.into_inner()?)
+    Ok(batch)
 }
 
 /// Reads a cone table.

@@ -9,7 +9,7 @@ use crate::experiment::{Experiment, MAX_REGION_DEG, RangeError};
 use crate::exposure::scene::{MAX_GRID, Scene, SceneNeeds};
 use crate::movement::Gaze;
 use crate::optics::{EyeState, FieldFit, Prescription, Projection, SchematicEye};
-use crate::retina::{DensityLaw, Generator, RegionUm, RetinaGeometry, RetinaParams};
+use crate::retina::{RegionUm, RetinaGeometry, RetinaParams};
 
 /// Retina beyond the picture's edge that is simulated because the picture's blur falls on it, µm.
 const MARGIN_UM: f64 = 75.0;
@@ -17,8 +17,6 @@ const MARGIN_UM: f64 = 75.0;
 pub(super) const UM_PER_TANGENT: f64 = 16_440.0;
 /// Samples per two cycles of the highest frequency.
 const OVERSAMPLING: f64 = 1.25;
-/// S cones keep this share of their mean spacing free of each other.
-const S_REPULSION: f64 = 0.5;
 
 /// The geometry of a scene.
 #[derive(Clone, Debug)]
@@ -77,19 +75,8 @@ fn retina_params(
     prescription: &Prescription,
     state: &EyeState,
 ) -> Result<RetinaParams, PlanError> {
-    let params = RetinaParams {
-        seed: experiment.retina.seed,
-        generator: match experiment.retina.generator {
-            crate::experiment::Generator::Domain => Generator::Domain,
-        },
-        density: DensityLaw::Curcio,
-        peak_density_per_mm2: experiment.retina.peak_density_per_mm2,
-        cone_ratio: experiment.retina.cone_ratio,
-        s_repulsion: S_REPULSION,
-        pointing_sd_deg: experiment.eye.pointing_sd_deg,
-        geometry: retina_geometry(prescription, state)?,
-        ..RetinaParams::default()
-    };
+    let geometry = retina_geometry(prescription, state)?;
+    let params = experiment.retina.params(experiment.eye.pointing_sd_deg, geometry);
     params.validate().map_err(|e| PlanError::Model(e.to_string()))?;
     Ok(params)
 }

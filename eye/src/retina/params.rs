@@ -235,8 +235,8 @@ impl RetinaParams {
         }
         check("s_repulsion", self.s_repulsion, 0.0, 0.52, "0 to 0.52")?;
         let [from, to] = self.s_ramp_deg;
-        check("s_ramp_deg[0]", from, 0.0, 5.0, "0 to 5")?;
-        check("s_ramp_deg[1]", to, from + 1e-3, 20.0, "more than s_ramp_deg[0], at most 20")?;
+        check("s_free_deg", from, 0.0, 5.0, "0 to 5")?;
+        check("s_full_deg", to, from + 1e-3, 20.0, "more than s_free_deg, at most 20")?;
         if let Some(total) = self.total_cones {
             check("total_cones", total, 3e6, 8e6, "3000000 to 8000000")?;
         }
@@ -244,7 +244,7 @@ impl RetinaParams {
             check("cycles", f64::from(cycles), 5.0, 200.0, "5 to 200")?;
         }
         if self.cell_walls == CellWalls::Averaging && self.generator != Generator::Ring {
-            let allowed = "`Averaging` with the ring generator only";
+            let allowed = "AVERAGING with the generator RING only";
             return Err(RetinaError::Parameter { field: "cell_walls", value: 1.0, allowed });
         }
         if let Some(dropout) = self.dropout {

@@ -12,7 +12,7 @@ use photoneye_eye::artifact::Input;
 use photoneye_eye::digest::Digest;
 use photoneye_eye::display::{Channel, Display, EmissionLaw, Primary, Transfer, White};
 use photoneye_eye::experiment::{
-    Counts, Engine, Experiment, Eye, Gaze, Generator, Movement, PaperSettings, Pattern, Retina, Video,
+    Counts, Engine, Experiment, Eye, Gaze, Movement, PaperSettings, Pattern, Retina, Video,
 };
 use photoneye_eye::exposure::Exposure;
 use photoneye_eye::optics::{Dispersion, Side};
@@ -49,13 +49,7 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             stiles_crawford_rho10_per_mm2: 0.05,
             pointing_sd_deg: 1.0,
         },
-        retina: Retina {
-            seed: 1,
-            generator: Generator::Domain,
-            peak_density_per_mm2: 199_000.0,
-            cone_ratio: [0.62, 0.30, 0.08],
-            region_deg: None,
-        },
+        retina: Retina::default(),
         display: Display {
             width_px: 30,
             height_px: 30,

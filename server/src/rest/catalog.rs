@@ -51,7 +51,7 @@ pub(super) async fn spectra() -> Json<Value> {
 pub(super) async fn retinas() -> Json<Value> {
     let generators = json!([
         {"name": "DOMAIN", "description": "patches of hexagonal lattice, relaxed; tiles are pure functions", "built": true},
-        {"name": "RING", "description": "the paper's growth from the centre", "built": false},
+        {"name": "RING", "description": "the paper's growth from a seed of seven cones, ring after ring", "built": true},
     ]);
     let peak = json!({"min": 98_200, "max": 324_100, "default": 199_000});
     Json(json!({"retinas": generators, "peak_density_per_mm2": peak}))

@@ -5,8 +5,9 @@ mod read;
 mod scene;
 
 use photoneye_eye::catalog;
-use photoneye_eye::experiment::{Counts, Engine, Experiment, Eye, Generator, PaperSettings, Retina, Video};
+use photoneye_eye::experiment::{Counts, Engine, Experiment, Eye, PaperSettings, Retina, Video};
 use photoneye_eye::optics::{Dispersion, Side};
+use photoneye_eye::retina::{CellWalls, DensityLaw, Dropout, Generator};
 use photoneye_proto::{FieldError, v1};
 
 pub use read::field_error;
@@ -87,14 +88,9 @@ fn stiles_crawford(spec: Option<&v1::StilesCrawford>) -> Result<(f64, f64), Fiel
 }
 
 fn retina(spec: Option<&v1::Retina>) -> Result<Retina, FieldError> {
-    use v1::retina::Generator as G;
+    use v1::retina::{CellWalls as W, Density as D, Generator as G};
     let spec = spec.copied().unwrap_or_default();
-    let generator = match choice("retina.generator", spec.generator, G::Domain, G::as_str_name)? {
-        G::Domain => Generator::Domain,
-        G::Ring => {
-            return Err(FieldError::new("retina.generator", "`RING` is not built yet, take `DOMAIN`"));
-        }
-    };
+    let default = Retina::default();
     let region_deg = match spec.region_deg {
         None => None,
         Some(region) => Some([
@@ -105,10 +101,32 @@ fn retina(spec: Option<&v1::Retina>) -> Result<Retina, FieldError> {
         ]),
     };
     Ok(Retina {
-        seed: spec.seed.unwrap_or(1),
-        generator,
-        peak_density_per_mm2: number(spec.peak_density_per_mm2, 199_000.0),
+        seed: spec.seed.unwrap_or(default.seed),
+        generator: match choice("retina.generator", spec.generator, G::Domain, G::as_str_name)? {
+            G::Domain => Generator::Domain,
+            G::Ring => Generator::Ring,
+        },
+        density: match choice("retina.density", spec.density, D::Curcio, D::as_str_name)? {
+            D::Curcio => DensityLaw::Curcio,
+            D::Tyler => DensityLaw::Tyler,
+        },
+        cell_walls: match choice("retina.cell_walls", spec.cell_walls, W::Power, W::as_str_name)? {
+            W::Power => CellWalls::Power,
+            W::Averaging => CellWalls::Averaging,
+        },
+        peak_density_per_mm2: number(spec.peak_density_per_mm2, default.peak_density_per_mm2),
+        total_cones: spec.total_cones.map(|total| total + 0.0),
+        cycles: spec.cycles,
         cone_ratio: cone_ratio(spec.cone_ratio.unwrap_or_default())?,
+        s_repulsion: number(spec.s_repulsion, default.s_repulsion),
+        s_ramp_deg: [
+            number(spec.s_free_deg, default.s_ramp_deg[0]),
+            number(spec.s_full_deg, default.s_ramp_deg[1]),
+        ],
+        dropout: spec
+            .dropout
+            .map(|d| Dropout { fraction: number(d.fraction, 0.0), seed: d.seed.unwrap_or(1) }),
+        optic_disc: spec.optic_disc.unwrap_or(default.optic_disc),
         region_deg,
     })
 }

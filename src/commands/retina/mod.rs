@@ -1,38 +1,44 @@
-//! `retina`: the cones out to an eccentricity, as a table and figures.
+//! `retina`: the cones out to an eccentricity as a table, with statistics, pictures, neighbours and receptive fields.
+//!
+//! Cones are made tile by tile and written as they come, so memory does not grow with the region; only `--neighbours` and `--fields` hold
+//! all cones at once.
 
-#[allow(dead_code, reason = "the command will draw with it")]
+mod networks;
 mod pictures;
-#[allow(dead_code, reason = "the command will draw with it")]
 mod statistics_page;
+mod tables;
 
+use std::fs;
+use std::io::{BufWriter, Write as _};
 use std::process::Command;
 
 use glam::DVec2;
 use photoneye_eye::experiment::Experiment;
-use photoneye_eye::exposure::cone_columns;
-use photoneye_eye::plan::setup::{Setup, setup};
-use photoneye_eye::retina::{Band, RegionUm, Retina, build_region, statistics};
-use photoneye_store::table::{ConeColumns, cones_file};
-use serde_json::{Value, json};
+use photoneye_eye::optics::Side;
+use photoneye_eye::plan::setup::setup;
+use photoneye_eye::retina::{
+    BANDS_DEG, Census, Cones, RegionUm, RetinaParams, Statistics, build_region, import, synthesize,
+};
+use photoneye_store::table::{ConeColumns, ConesWriter};
+use serde_json::json;
 
 use super::Context;
 use crate::cli_optics::{GeneratorName, RetinaArgs};
 use crate::experiment_file::set;
 use crate::failure::Failure;
 use crate::output;
-use crate::result_folder::write_file;
+use crate::result_folder::{write_file, write_with};
 
-/// Up to here visual angles are traced through the eye; beyond, the scale of the fovea is used.
-const TRACED_DEG: f64 = 20.0;
-const MAX_DEG: f64 = 120.0;
+const MAX_DEG: f64 = 130.0;
+/// Beyond this eccentricity, visual degrees, neighbours are looked at for one cone in sixteen.
+const SAMPLED_FROM_DEG: f64 = 15.0;
+/// Largest measured mosaic that is read, bytes.
+const MAX_IMPORT: u64 = 200 << 20;
 /// Set for the process that already has the number of threads it was asked for.
 const THREADS: &str = "RAYON_NUM_THREADS";
 
 /// Runs the command.
 pub fn run(context: &Context, args: &RetinaArgs) -> Result<(), Failure> {
-    if args.generator == GeneratorName::Ring {
-        return Err(Failure::usage("--generator ring: not built yet, use domain"));
-    }
     let range = 0.0..=MAX_DEG;
     if !(range.contains(&args.to_deg) && range.contains(&args.from_deg) && args.from_deg < args.to_deg) {
         return Err(Failure::usage(format!(
@@ -45,15 +51,149 @@ pub fn run(context: &Context, args: &RetinaArgs) -> Result<(), Failure> {
         return again_with_threads(threads);
     }
     let experiment = experiment(args)?;
-    let setup = setup(&experiment).map_err(Failure::usage)?;
-    let scale = setup.retina.geometry.visual.deg_per_um();
-    let traced = args.to_deg <= TRACED_DEG;
-    let region = if traced { traced_region(&setup, args.to_deg)? } else { square(args.to_deg / scale) };
-    let retina = build_region(&setup.retina, &region).map_err(Failure::usage)?;
-    let table = if traced { traced_table(&experiment, &retina)? } else { scaled_table(&retina, scale) };
-    let table = ring(&table, args.from_deg, args.to_deg);
-    write_file(&args.out, &cones_file(&table).map_err(Failure::failed)?)?;
-    tell(context, args, &table, &statistics(&retina).bands)
+    let mosaic = Mosaic {
+        params: setup(&experiment).map_err(Failure::usage)?.retina,
+        side: experiment.eye.side,
+        from_deg: args.from_deg,
+        to_deg: args.to_deg,
+    };
+    let written = match &args.import {
+        None => grown(context, args, &mosaic)?,
+        Some(path) => imported(args, path, &mosaic)?,
+    };
+    if let Some(path) = &args.statistics {
+        let text = serde_json::to_vec_pretty(&tables::json(&written.statistics)).map_err(Failure::failed)?;
+        write_file(path, &text)?;
+    }
+    if let Some(folder) = &args.png {
+        draw(context, folder, &mosaic, &written)?;
+    }
+    tell(context, args, &written)
+}
+
+/// What is asked for.
+struct Mosaic {
+    params: RetinaParams,
+    side: Side,
+    from_deg: f64,
+    to_deg: f64,
+}
+
+impl Mosaic {
+    fn columns(&self, cones: &Cones) -> ConeColumns {
+        tables::columns(cones, &self.params.geometry.visual, self.side, self.from_deg..=self.to_deg)
+    }
+}
+
+/// What was written.
+struct Written {
+    statistics: Statistics,
+    /// L, M and S cones in the table.
+    types: [u64; 3],
+    is_import: bool,
+}
+
+/// Makes the cones tile by tile and writes them.
+fn grown(context: &Context, args: &RetinaArgs, mosaic: &Mosaic) -> Result<Written, Failure> {
+    if args.generator == GeneratorName::Ring && !context.json {
+        output::note(format_args!(
+            "growing ring by ring, serially; the table follows when the disc is grown"
+        ));
+    }
+    let region = reach(mosaic);
+    let edges = edges(mosaic);
+    let every = if mosaic.to_deg > SAMPLED_FROM_DEG { 16 } else { 1 };
+    let mut total = Census::new(&mosaic.params, &edges, every);
+    let mut types = [0_u64; 3];
+    write_with(&args.out, |file| {
+        let mut writer = ConesWriter::new(BufWriter::new(file)).map_err(Failure::failed)?;
+        let mut failed = None;
+        let work = |rectangle: &RegionUm, cones: Cones| {
+            let mut census = Census::new(&mosaic.params, &edges, every);
+            census.add(&cones, rectangle);
+            (mosaic.columns(&cones), census)
+        };
+        synthesize(&mosaic.params, &region, work, |(columns, census)| {
+            total.merge(&census);
+            for kind in &columns.kind {
+                types[usize::from(*kind).min(2)] += 1;
+            }
+            if failed.is_none() && !columns.is_empty() {
+                failed = writer.push(&columns).err();
+            }
+        })
+        .map_err(Failure::usage)?;
+        if let Some(error) = failed {
+            return Err(Failure::failed(error));
+        }
+        let mut out = writer.finish().map_err(Failure::failed)?;
+        out.flush().map_err(|e| Failure::file("write", &args.out, &e))
+    })?;
+    if args.neighbours.is_some() || args.fields.is_some() {
+        let retina = build_region(&mosaic.params, &region).map_err(Failure::usage)?;
+        networks::write(args, &retina, |at| {
+            let deg = mosaic.params.geometry.visual.eccentricity_deg(at);
+            (mosaic.from_deg..=mosaic.to_deg).contains(&deg)
+        })?;
+    }
+    Ok(Written { statistics: total.statistics(), types, is_import: false })
+}
+
+/// Reads a measured mosaic and writes it with its cells.
+fn imported(args: &RetinaArgs, path: &std::path::Path, mosaic: &Mosaic) -> Result<Written, Failure> {
+    let failed = |e: std::io::Error| Failure::file("read", path, &e);
+    if fs::metadata(path).map_err(failed)?.len() > MAX_IMPORT {
+        return Err(Failure::usage(format!("--import: {} is over {MAX_IMPORT} bytes", path.display())));
+    }
+    let text = fs::read_to_string(path).map_err(failed)?;
+    let retina = import(&text, &mosaic.params)
+        .map_err(|e| Failure::usage(format!("--import {}: {e}", path.display())))?;
+    let columns = mosaic.columns(&retina);
+    let mut types = [0_u64; 3];
+    for kind in &columns.kind {
+        types[usize::from(*kind).min(2)] += 1;
+    }
+    write_with(&args.out, |file| {
+        let mut writer = ConesWriter::new(BufWriter::new(file)).map_err(Failure::failed)?;
+        writer.push(&columns).map_err(Failure::failed)?;
+        let mut out = writer.finish().map_err(Failure::failed)?;
+        out.flush().map_err(|e| Failure::file("write", &args.out, &e))
+    })?;
+    if args.neighbours.is_some() || args.fields.is_some() {
+        networks::write(args, &retina, |_| true)?;
+    }
+    let mut census = Census::new(&mosaic.params, &edges(mosaic), 1);
+    census.add(&retina, &retina.region);
+    Ok(Written { statistics: census.statistics(), types, is_import: true })
+}
+
+/// Edges of the bands between the eccentricities asked for.
+fn edges(mosaic: &Mosaic) -> Vec<f64> {
+    let inner = BANDS_DEG.into_iter().filter(|e| (mosaic.from_deg..mosaic.to_deg).contains(e));
+    let mut edges: Vec<f64> = std::iter::once(mosaic.from_deg).chain(inner).chain([mosaic.to_deg]).collect();
+    edges.dedup();
+    edges
+}
+
+/// A rectangle of retina that holds everything out to the visual angle asked for.
+fn reach(mosaic: &Mosaic) -> RegionUm {
+    const DIRECTIONS: u32 = 128;
+    let geometry = &mosaic.params.geometry;
+    let edge = geometry.radius_um * (geometry.ora_retinal_deg * (1.0 + geometry.ora_dip)).to_radians();
+    let (mut min, mut max) = (DVec2::ZERO, DVec2::ZERO);
+    for step in 0..DIRECTIONS {
+        let way = DVec2::from_angle(std::f64::consts::TAU * f64::from(step) / f64::from(DIRECTIONS));
+        let (mut low, mut high) = (0.0, edge);
+        for _ in 0..50 {
+            let middle = 0.5 * (low + high);
+            let inside = geometry.visual.eccentricity_deg(way * middle) < mosaic.to_deg;
+            if inside { low = middle } else { high = middle }
+        }
+        (min, max) = (min.min(way * high), max.max(way * high));
+    }
+    // Between the directions the outline bulges by less than this.
+    let margin = 2.0 + 0.001 * (max - min).length();
+    RegionUm { min: min - margin, max: max + margin }
 }
 
 /// The number of threads is fixed when a process starts: start this one again with it.
@@ -69,10 +209,14 @@ fn again_with_threads(threads: usize) -> Result<(), Failure> {
 
 /// The experiment whose retina is asked for: all defaults but those that were set.
 fn experiment(args: &RetinaArgs) -> Result<Experiment, Failure> {
+    let generator = match args.generator {
+        GeneratorName::Domain => "DOMAIN",
+        GeneratorName::Ring => "RING",
+    };
     let mut spec = json!({
         "display": {"preset": "lcos-3chip", "width_px": 8, "height_px": 8},
         "video": {"pattern": {"uniform": {"rgb": [1, 1, 1]}}},
-        "retina": {"seed": args.seed},
+        "retina": {"seed": args.seed, "generator": generator},
     });
     for change in &args.set {
         set(&mut spec, change)?;
@@ -81,129 +225,47 @@ fn experiment(args: &RetinaArgs) -> Result<Experiment, Failure> {
     photoneye_server::spec::experiment(&message).map_err(Failure::usage)
 }
 
-fn square(half_um: f64) -> RegionUm {
-    RegionUm { min: DVec2::splat(-half_um), max: DVec2::splat(half_um) }
-}
-
-/// A rectangle of retina that holds everything out to a visual angle.
-fn traced_region(setup: &Setup, to_deg: f64) -> Result<RegionUm, Failure> {
-    let (mut min, mut max) = (DVec2::ZERO, DVec2::ZERO);
-    for step in 0..64 {
-        let direction = DVec2::from_angle(std::f64::consts::TAU * f64::from(step) / 64.0);
-        let tangent = direction * to_deg.to_radians().tan();
-        let wavelength = setup.prescription.reference_wavelength_nm;
-        let um = setup.projection.retina_um(tangent, wavelength).map_err(Failure::usage)?;
-        (min, max) = (min.min(um), max.max(um));
-    }
-    // Between the directions the outline bulges by less than this.
-    let margin = 2.0 + 0.002 * (max - min).length();
-    Ok(RegionUm { min: min - margin, max: max + margin })
-}
-
-fn traced_table(experiment: &Experiment, retina: &Retina) -> Result<ConeColumns, Failure> {
-    let columns = cone_columns(experiment, retina).map_err(Failure::failed)?;
-    Ok(ConeColumns {
-        id: columns.id,
-        x_um: columns.x_um,
-        y_um: columns.y_um,
-        x_deg: columns.x_deg,
-        y_deg: columns.y_deg,
-        ecc_deg: columns.ecc_deg,
-        meridian_deg: columns.meridian_deg,
-        kind: columns.cone_type,
-        aperture_um2: columns.aperture_um2,
-        // The model counts corners, the table numbers.
-        polygon_start: columns.polygon_start.iter().map(|corner| 2 * corner).collect(),
-        polygon: columns.polygon_xy,
-    })
-}
-
-/// The scale of the fovea everywhere (right eye: up in the field is down on the retina).
-fn scaled_table(retina: &Retina, deg_per_um: f64) -> ConeColumns {
-    let mut table = ConeColumns {
-        id: retina.id.clone(),
-        x_um: retina.x_um.clone(),
-        y_um: retina.y_um.clone(),
-        kind: retina.cone_type.iter().map(|cone_type| *cone_type as u8).collect(),
-        aperture_um2: retina.aperture_um2.clone(),
-        polygon_start: retina.polygon_start.iter().map(|corner| 2 * corner).collect(),
-        ..ConeColumns::default()
-    };
-    for cone in 0..retina.len() {
-        let at = retina.center(cone);
-        table.x_deg.push(at.x * deg_per_um);
-        table.y_deg.push(-at.y * deg_per_um);
-        table.ecc_deg.push(at.length() * deg_per_um);
-        table.meridian_deg.push(at.y.atan2(at.x).to_degrees().rem_euclid(360.0));
-        for corner in retina.polygon(cone) {
-            table.polygon.extend([corner.x as f32, corner.y as f32]);
+/// The statistics page, and pictures of a grown mosaic.
+fn draw(
+    context: &Context,
+    folder: &std::path::Path,
+    mosaic: &Mosaic,
+    written: &Written,
+) -> Result<(), Failure> {
+    let cones: u64 = written.types.iter().sum();
+    let what = if written.is_import { "Imported mosaic" } else { "Cone mosaic" };
+    let title = format!("{what} to {}°, seed {}, {cones} cones", mosaic.to_deg, mosaic.params.seed);
+    let columns = statistics_page::StatisticsColumns::from_rings(&title, &written.statistics.bands);
+    pictures::write_png(&folder.join("statistics.png"), &statistics_page::statistics_page(&columns))?;
+    if !written.is_import {
+        let mut request = pictures::MosaicRequest::default();
+        request.patches_deg.retain(|deg| *deg <= mosaic.to_deg);
+        request.strip_to_deg = request.strip_to_deg.min(mosaic.to_deg);
+        let cones_of =
+            |region: &RegionUm| Ok(build_region(&mosaic.params, region).map_err(Failure::usage)?.cones);
+        for picture in pictures::mosaic_pictures(&mosaic.params, &request, cones_of)? {
+            pictures::write_png(&folder.join(picture.name), &picture.image)?;
         }
     }
-    table
-}
-
-/// The rows between two eccentricities.
-fn ring(table: &ConeColumns, from_deg: f64, to_deg: f64) -> ConeColumns {
-    let mut out = ConeColumns { polygon_start: vec![0], ..ConeColumns::default() };
-    for cone in (0..table.len()).filter(|&cone| (from_deg..=to_deg).contains(&table.ecc_deg[cone])) {
-        out.id.push(table.id[cone]);
-        out.x_um.push(table.x_um[cone]);
-        out.y_um.push(table.y_um[cone]);
-        out.x_deg.push(table.x_deg[cone]);
-        out.y_deg.push(table.y_deg[cone]);
-        out.ecc_deg.push(table.ecc_deg[cone]);
-        out.meridian_deg.push(table.meridian_deg[cone]);
-        out.kind.push(table.kind[cone]);
-        out.aperture_um2.push(table.aperture_um2[cone]);
-        out.polygon.extend(table.polygon_of(cone));
-        out.polygon_start.push(out.polygon.len() as u32);
-    }
-    out
-}
-
-fn tell(context: &Context, args: &RetinaArgs, table: &ConeColumns, bands: &[Band]) -> Result<(), Failure> {
-    let mut types = [0_u64; 3];
-    for kind in &table.kind {
-        types[usize::from(*kind).min(2)] += 1;
-    }
-    let [l, m, s] = types;
-    let bands = || bands.iter().filter(|band| band.from_deg < args.to_deg && band.to_deg > args.from_deg);
-    if context.json {
-        let bands: Vec<Value> = bands().map(band_json).collect();
-        let types = json!({"l": l, "m": m, "s": s});
-        return output::json(&json!({"cones": table.len(), "types": types, "bands": bands, "out": args.out}));
-    }
-    output::line(format_args!("{} cones: {l} L, {m} M, {s} S", table.len()))?;
-    output::line(format_args!(
-        "degrees        cones  density/target  S share  six neighbours  nearest/spacing"
-    ))?;
-    for band in bands() {
-        output::line(format_args!(
-            "{:>6.3}-{:<6.3} {:>6}  {:>14.4}  {:>7.4}  {:>14.3}  {:>6.3} ± {:.3}",
-            band.from_deg,
-            band.to_deg,
-            band.cones,
-            band.density_ratio(),
-            band.s_share(),
-            band.six_share,
-            band.nearest_mean,
-            band.nearest_sd
-        ))?;
+    if !context.json {
+        output::line(format_args!("pictures in {}", folder.display()))?;
     }
     Ok(())
 }
 
-fn band_json(band: &Band) -> Value {
-    json!({
-        "from_deg": band.from_deg,
-        "to_deg": band.to_deg,
-        "cones": band.cones,
-        "target_cones": band.target_cones,
-        "types": band.types,
-        "six_share": band.six_share,
-        "nearest_mean": band.nearest_mean,
-        "nearest_sd": band.nearest_sd,
-        "psi6": band.psi6,
-        "coverage": band.coverage,
-    })
+fn tell(context: &Context, args: &RetinaArgs, written: &Written) -> Result<(), Failure> {
+    let [l, m, s] = written.types;
+    let cones = l + m + s;
+    if context.json {
+        let mut facts = tables::json(&written.statistics);
+        facts["cones"] = json!(cones);
+        facts["types"] = json!({"l": l, "m": m, "s": s});
+        facts["out"] = json!(args.out);
+        return output::json(&facts);
+    }
+    output::line(format_args!("{cones} cones: {l} L, {m} M, {s} S"))?;
+    for line in tables::lines(&written.statistics) {
+        output::line(format_args!("{line}"))?;
+    }
+    Ok(())
 }

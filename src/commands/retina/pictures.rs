@@ -229,9 +229,8 @@ fn place(along: Meridian, deg: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use photoneye_eye::retina::{build_region, statistics_in_bands};
+    use photoneye_eye::retina::build_region;
 
-    use super::super::statistics_page::{MeridianColumns, StatisticsColumns, middle_deg, statistics_page};
     use super::*;
 
     #[test]
@@ -274,35 +273,5 @@ mod tests {
         for picture in mosaic_pictures(&params, &MosaicRequest::default(), cones_of).unwrap() {
             write_png(&folder.join(picture.name), &picture.image).unwrap();
         }
-        let half = DVec2::splat(10.5 * 287.0);
-        let retina = build_region(&params, &RegionUm { min: -half, max: half }).unwrap();
-        let edges = [
-            0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.85, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0,
-            10.0,
-        ];
-        let rings = statistics_in_bands(&retina, &edges).bands;
-        let cones = number(retina.len() as f64, 0.0);
-        let title = format!("Cone mosaic to 10.5°, seed {}, {cones} cones", params.seed);
-        let mut columns = StatisticsColumns::from_rings(&title, &rings);
-        let density = Density::new(&params);
-        for along in Meridian::ALL {
-            let mut here = MeridianColumns { name: along.name().into(), ..MeridianColumns::default() };
-            for ring in edges.windows(2) {
-                let (low, high) = (ring[0] * 287.0, ring[1] * 287.0);
-                let inside = (0..retina.len()).filter(|&i| {
-                    let at = retina.center(i);
-                    let forward = along.direction().dot(at);
-                    (low..high).contains(&at.length()) && forward > 0.924 * at.length()
-                });
-                let area_mm2 = 1e-6 * 0.7846 * 0.5 * (high * high - low * low);
-                let deg = middle_deg(ring[0], ring[1]);
-                here.density.push((deg, inside.count() as f64 / area_mm2));
-                here.target.push((deg, density.per_mm2(along.direction() * 287.0 * deg)));
-            }
-            columns.meridians.push(here);
-        }
-        let nyquist = |per_mm2: f64| 287.0 / (3.0_f64.sqrt() * (2e6 / (3.0_f64.sqrt() * per_mm2)).sqrt());
-        columns.nyquist = columns.meridians[2].density.iter().map(|&(x, d)| (x, nyquist(d))).collect();
-        write_png(&folder.join("statistics.png"), &statistics_page(&columns)).unwrap();
     }
 }

@@ -5,7 +5,7 @@
 //! deviation 0.09; |psi6| 0.52 to 0.55. The paper (§15.4) has 6.25 cones within D <= 1.5 on average.
 
 use photoneye_eye::picture::RgbImage;
-use photoneye_eye::retina::Band as Ring;
+use photoneye_eye::retina::{Band as Ring, SECTORS, Sector};
 
 use crate::chart::{Axis, BAND, Band, Chart, DARK, LIVING, PALETTE, Series, Style, page};
 
@@ -58,16 +58,14 @@ pub struct StatisticsColumns {
     pub nyquist: Curve,
     /// Aperture over cell area.
     pub coverage: Curve,
-    /// Distance from an S cone to the nearest other one, µm.
-    pub s_nearest_um: Curve,
+    /// Distance from an S cone to the nearest other one, in units of 1/sqrt(S density).
+    pub s_nearest: Curve,
     /// Cells at the size limit, share of cones.
-    pub voids: Curve,
-    /// Cones with a neighbour closer than D = 0.6, share of cones.
-    pub close_pairs: Curve,
+    pub open_cells: Curve,
 }
 
 impl StatisticsColumns {
-    /// What rings of eccentricity give; by meridian, Nyquist limit, S spacing, voids and close pairs are left empty.
+    /// What rings of eccentricity give.
     pub fn from_rings(title: &str, rings: &[Ring]) -> Self {
         let curve = |value: &dyn Fn(&Ring) -> f64| -> Curve {
             rings.iter().map(|ring| (middle_deg(ring.from_deg, ring.to_deg), value(ring))).collect()
@@ -86,8 +84,27 @@ impl StatisticsColumns {
             s_share: curve(&Ring::s_share),
             s_target: curve(&|ring| ring.target_s / ring.target_cones),
             coverage: curve(&|ring| ring.coverage),
-            ..Self::default()
+            nyquist: curve(&Ring::nyquist_cpd),
+            s_nearest: curve(&|ring| if ring.s_interior > 0 { ring.s_nearest } else { f64::NAN }),
+            open_cells: inner(|ring| ring.open as f64 / (ring.open + ring.interior) as f64),
+            meridians: (0..SECTORS.len()).map(|sector| meridian(rings, sector)).collect(),
         }
+    }
+}
+
+/// Density and target of one sector, cones per mm².
+fn meridian(rings: &[Ring], sector: usize) -> MeridianColumns {
+    let known = || rings.iter().filter(|ring| ring.sectors[sector].area_mm2 > 0.0);
+    let curve = |value: fn(&Sector) -> f64| -> Curve {
+        known()
+            .map(|ring| (middle_deg(ring.from_deg, ring.to_deg), &ring.sectors[sector]))
+            .map(|(deg, s)| (deg, value(s) / s.area_mm2))
+            .collect()
+    };
+    MeridianColumns {
+        name: SECTORS[sector].into(),
+        density: curve(|s| s.cones as f64),
+        target: curve(|s| s.target_cones),
     }
 }
 
@@ -109,11 +126,9 @@ pub fn statistics_page(columns: &StatisticsColumns) -> RgbImage {
         s_share(columns),
         coverage(columns),
     ];
-    let spacing = one("S cones: distance to the nearest S cone", "µm", &columns.s_nearest_um);
-    let voids = with_room(one("cells at the size limit", "share of cones", &columns.voids), 0.0, 1e-3);
-    let close =
-        with_room(one("cones closer than D = 0.6", "share of cones", &columns.close_pairs), 0.0, 1e-3);
-    charts.extend([spacing, voids, close].into_iter().filter(|chart| !chart.series[0].points.is_empty()));
+    let spacing = one("S cones: distance to the nearest S cone", "1/sqrt(S density)", &columns.s_nearest);
+    let open = with_room(one("cells at the size limit", "share of cones", &columns.open_cells), 0.0, 1e-3);
+    charts.extend([spacing, open].into_iter().filter(|chart| !chart.series[0].points.is_empty()));
     share_x(&mut charts);
     page(&columns.title, &charts, COLUMNS)
 }
@@ -250,7 +265,7 @@ mod tests {
         let page = |columns: &StatisticsColumns| statistics_page(columns).height;
         let none = StatisticsColumns::default();
         let more =
-            StatisticsColumns { voids: vec![(1.0, 0.001), (2.0, 0.0)], ..StatisticsColumns::default() };
+            StatisticsColumns { open_cells: vec![(1.0, 0.001), (2.0, 0.0)], ..StatisticsColumns::default() };
         assert_eq!(page(&more) - page(&none), 400);
     }
 }
