@@ -76,16 +76,6 @@ impl Axis {
     pub fn log(title: &str) -> Self {
         Self { title: title.into(), log: true, ..Self::default() }
     }
-
-    /// With given ends.
-    pub fn within(self, from: f64, to: f64) -> Self {
-        Self { range: Some((from, to)), ..self }
-    }
-
-    /// That shows these values and what else there is.
-    pub fn at_least(self, from: f64, to: f64) -> Self {
-        Self { least: Some((from, to)), ..self }
-    }
 }
 
 /// How points are shown.

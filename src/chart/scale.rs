@@ -101,9 +101,9 @@ mod tests {
                 assert!(!log || s.from > 0.0);
             }
         }
-        let asked = Axis::log("").within(0.0, 1.0);
+        let asked = Axis { range: Some((0.0, 1.0)), ..Axis::log("") };
         assert!(Scale::new(&asked, [2.0, 4.0].into_iter()).from > 1.0);
-        let asked = Axis::linear("").within(0.0, 1.0);
+        let asked = Axis { range: Some((0.0, 1.0)), ..Axis::linear("") };
         assert_eq!(Scale::new(&asked, [2.0].into_iter()).to.total_cmp(&1.0), std::cmp::Ordering::Equal);
     }
 }

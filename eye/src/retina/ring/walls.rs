@@ -218,12 +218,14 @@ mod tests {
 
     fn batch(at: Vec<DVec2>, wanted: f64) -> Relaxed {
         let n = at.len();
-        let mut batch = Relaxed::default();
-        batch.rows = at.iter().map(|p| f64::from(u8::from(p.abs().max_element() > wanted))).collect();
-        batch.id = at.iter().map(|p| morton(*p)).collect();
-        batch.at = at;
-        batch.radius = vec![0.5; n];
-        batch.spacing = vec![1.0; n];
+        let mut batch = Relaxed {
+            rows: at.iter().map(|p| f64::from(u8::from(p.abs().max_element() > wanted))).collect(),
+            id: at.iter().map(|p| morton(*p)).collect(),
+            at,
+            radius: vec![0.5; n],
+            spacing: vec![1.0; n],
+            ..Relaxed::default()
+        };
         batch.metric = vec![Metric { xx: 1.0, xy: 0.0, yy: 1.0 }; n];
         batch
     }
