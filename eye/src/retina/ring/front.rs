@@ -176,12 +176,18 @@ pub(super) fn last_ring(cones: &[Cone], number: u32) -> Vec<&Cone> {
     last
 }
 
-/// Places of the last ring with their eccentricities averaged over neighbours.
+/// Places of the last ring with their eccentricities averaged over neighbours, on as many cones on either side as there are before a gap.
 fn smooth_edge(last: &[&Cone]) -> Vec<DVec2> {
     let n = last.len();
-    let half = WINDOW.min(n.saturating_sub(1) / 2);
+    let most = WINDOW.min(n.saturating_sub(1) / 2);
+    // Cone m - 1 and cone m of the ring are the ends of two arcs.
+    let parted = |m: usize| {
+        let (a, b) = (last[(m + n - 1) % n], last[m % n]);
+        a.metric.length2(b.at - a.at) > (GAP * a.spacing).powi(2)
+    };
     (0..n)
         .map(|i| {
+            let half = (0..most).find(|&h| parted(i + n - h) || parted(i + h + 1)).unwrap_or(most);
             let sum: f64 = (0..=2 * half).map(|k| last[(i + n + k - half) % n].at.length()).sum();
             last[i].at * (sum / (2 * half + 1) as f64 / last[i].at.length())
         })

@@ -14,7 +14,8 @@
 //! differ by meridian. §15.3 finds voids by the walls of cells that are built anew every sub-cycle; here by empty circles, twice in a cone's life (`repair`).
 //!
 //! # Cost
-//! See `settle`; 12 µs of processor time per cone.
+//! 30 µs of processor time per cone born, cells and types included: 3.1 s for 104 thousand, 33 s for 1.09 million, 180 s for the whole retina of 5.55 million,
+//! with at most 166,746 cones and 65 MB in memory.
 
 mod cone;
 mod front;
@@ -47,6 +48,8 @@ const FREEZE: u8 = 6;
 const LEAVE: u8 = 10;
 /// Growth cycles in which a cone that fills a void moves in any case.
 const FREE: u32 = 2;
+/// Hops at which a cone is searched for voids a second time, and beyond which it is not any more.
+const SEARCHED: [u8; 2] = [FREEZE - 1, LEAVE - 2 - FREE as u8];
 /// D of neighbours, equation (3).
 const NEIGHBOUR: f64 = super::force::NEIGHBOUR;
 /// Growth cycles between batches of output.
@@ -158,7 +161,7 @@ impl<'a> Growth<'a> {
         let Settled { bodies, pairs, last_step } = settle::settle(&mut self.live, sub_cycles, &self.kicks);
         let depth = self.depth(&bodies, &pairs);
         let removed = repair::degenerate(&self.live, &bodies, &pairs, &depth);
-        let voids = repair::voids(&mut self.live, &bodies, &pairs, &depth, FREEZE - 1);
+        let voids = repair::voids(&mut self.live, &bodies, &pairs, &depth, SEARCHED);
         self.freeze(&depth, &removed, number);
         self.report.voids_filled += voids.len() as u64;
         for at in voids {

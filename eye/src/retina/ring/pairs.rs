@@ -13,15 +13,14 @@ use super::sectors::Sectors;
 const WIDE: f64 = 2.0;
 /// Largest D on the short list.
 const SHORT: f64 = 1.3;
-/// Neighbouring cones' radii differ by less than this factor.
-const ALIKE: f64 = 1.12;
-
 /// What the inner loop reads of a cone, together in memory.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Body {
     pub(super) at: DVec2,
     pub(super) metric: Metric,
     pub(super) radius: f64,
+    /// No cone near by has a larger radius, µm.
+    pub(super) largest: f64,
     pub(super) moves: bool,
 }
 
@@ -52,7 +51,7 @@ impl Pairs {
     pub(super) fn within(bodies: &[Body], sectors: &Sectors, limit: f64) -> Self {
         let mut pairs = Self { start: vec![0], other: Vec::with_capacity(10 * bodies.len()), at: Vec::new() };
         for (i, body) in bodies.iter().enumerate() {
-            let reach = limit * (1.0 + ALIKE) * body.radius / body.metric.shortest();
+            let reach = limit * (body.radius + body.largest) / body.metric.shortest();
             sectors.near(body.at, reach, |items| {
                 let mut end = pairs.other.len();
                 pairs.other.resize(end + items.len(), 0);

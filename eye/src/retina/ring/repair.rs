@@ -14,7 +14,7 @@ use glam::DVec2;
 
 use super::super::clip::{Convex, directions};
 use super::cone::Cone;
-use super::pairs::{Body, FAR, Links, Pairs, are_within};
+use super::pairs::{Body, Links, Pairs, are_within};
 use super::sectors::turn;
 
 /// Radius of the empty circle that makes a void, in spacings.
@@ -45,15 +45,16 @@ pub(super) fn degenerate(cones: &[Cone], bodies: &[Body], pairs: &Pairs, depth: 
     removed
 }
 
-/// Places of new cones in the voids next to cones that are due for a search.
+/// Places of new cones in the voids next to cones that are due for a search: settled, about to be frozen at `freeze` hops, and no deeper
+/// than `deepest`, where the cones round a new one would leave before it has come to rest.
 pub(super) fn voids(
     cones: &mut [Cone],
     bodies: &[Body],
     pairs: &Pairs,
     depth: &[u8],
-    freeze: u8,
+    [freeze, deepest]: [u8; 2],
 ) -> Vec<DVec2> {
-    let due = |c: &Cone, d: u8| d != FAR && !c.frozen && d >= if c.searched { freeze } else { SETTLED };
+    let due = |c: &Cone, d: u8| !c.frozen && d >= if c.searched { freeze } else { SETTLED } && d <= deepest;
     let links = pairs.both_ways(bodies, BOUNDING);
     let circle = directions(12);
     let mut cell = Convex::default();

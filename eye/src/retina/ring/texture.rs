@@ -12,7 +12,11 @@ use super::super::field::Field;
 /// (visual degrees on the scale of the fovea, sub-cycles, relative spread of radii, radius over half the hexagonal spacing);
 /// linear between, constant beyond.
 const TEXTURE: [(f64, f64, f64, f64); 4] =
-    [(0.0, 41.0, 0.03, 1.008), (0.5, 41.0, 0.03, 0.993), (1.0, 20.0, 0.12, 0.944), (2.0, 16.0, 0.12, 0.931)];
+    [(0.0, 41.0, 0.03, 1.008), (0.5, 41.0, 0.03, 0.993), (1.0, 20.0, 0.10, 0.944), (2.0, 16.0, 0.10, 0.931)];
+
+/// Bound of nominal radii over the spacing of a cone near by: 2.5 standard deviations of 0.10 and 6 % of feedback on half of it, and 2 % for the
+/// change of the spacing from cone to cone.
+pub(super) const LARGEST_RADIUS: f64 = 0.5 * 1.01 * 1.25 * 1.06 * 1.02;
 
 /// The texture at one eccentricity.
 #[derive(Clone, Copy, Debug)]

@@ -20,6 +20,7 @@ use super::super::relax::{Relaxed, quantized};
 use super::pairs::{Body, Links, Pairs, mean_spacing};
 use super::repair::DEGENERATE;
 use super::sectors::Sectors;
+use super::texture::LARGEST_RADIUS;
 
 /// Most cones that share a corner.
 const MOST: usize = 8;
@@ -56,7 +57,13 @@ struct Graph<'a> {
 pub(super) fn averaged_walls(batch: &Relaxed) -> Walls {
     let n = batch.at.len();
     let bodies: Vec<Body> = (0..n)
-        .map(|i| Body { at: batch.at[i], metric: batch.metric[i], radius: batch.radius[i], moves: false })
+        .map(|i| Body {
+            at: batch.at[i],
+            metric: batch.metric[i],
+            radius: batch.radius[i],
+            largest: LARGEST_RADIUS * batch.spacing[i],
+            moves: false,
+        })
         .collect();
     let sectors = Sectors::new(&batch.at, mean_spacing(&bodies));
     let links = Pairs::within(&bodies, &sectors, NEIGHBOUR).both_ways(&bodies, NEIGHBOUR);
@@ -261,7 +268,13 @@ mod tests {
                 .collect();
             let bodies: Vec<Body> = at
                 .iter()
-                .map(|&at| Body { at, metric: batch(vec![at], 1.0).metric[0], radius: 0.5, moves: false })
+                .map(|&at| Body {
+                    at,
+                    metric: batch(vec![at], 1.0).metric[0],
+                    radius: 0.5,
+                    largest: 0.5,
+                    moves: false,
+                })
                 .collect();
             let links =
                 Pairs::within(&bodies, &Sectors::new(&at, 1.0), NEIGHBOUR).both_ways(&bodies, NEIGHBOUR);
