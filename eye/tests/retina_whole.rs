@@ -47,5 +47,9 @@ fn the_whole_retina_meets_its_targets() {
     }
     let cones = s.all.cones as f64;
     assert_eq!((s.counts.coincident, s.counts.close_pairs), (0, 0));
-    assert!((s.counts.voids as f64) < 1e-4 * cones && (s.counts.concave as f64) < 1e-5 * cones, "{:?}", s.counts);
+    assert!(
+        (s.counts.voids as f64) < 1e-4 * cones && (s.counts.concave as f64) < 1e-5 * cones,
+        "{:?}",
+        s.counts
+    );
 }

@@ -26,7 +26,6 @@ mod mosaic;
 mod params;
 mod receptive_field;
 mod relax;
-#[allow(dead_code, reason = "called once build_region offers the ring generator")]
 mod ring;
 mod statistics;
 mod synthesize;

@@ -57,6 +57,10 @@ fn covering(tiles: &[(TileId, RegionUm)], region: &RegionUm) -> RegionUm {
 /// The cones of a region by the ring generator.
 pub(super) fn grow(field: &Field, region: &RegionUm) -> Result<Retina, RetinaError> {
     let mut batches = Vec::new();
-    ring::grow(field, region, &mut |batch| batches.push(batch))?;
-    Ok(Retina::gather(&batches.iter().collect::<Vec<_>>(), region, field.params))
+    let report = ring::grow(field, region, &mut |batch| batches.push(batch))?;
+    let mut retina = Retina::gather(&batches.iter().collect::<Vec<_>>(), region, field.params);
+    // Voids and degenerate pairs are met while the disc grows, inside the region or not.
+    retina.cones.counts.seeded = report.voids_filled;
+    retina.cones.counts.removed = report.degenerate_removed;
+    Ok(retina)
 }
