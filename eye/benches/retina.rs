@@ -36,7 +36,7 @@ fn main() {
     for half in [50.0, 150.0, 450.0] {
         report(&format!("region ±{half} µm"), || build_region(&p, &region(half)).map_or(0, |r| r.len()));
     }
-    for x_um in [0.0, 600.0, 1_500.0, 2_930.0, 8_000.0, 16_000.0] {
+    for x_um in [0.0, 600.0, 1_500.0, 2_930.0, 8_000.0, 16_000.0, 22_000.0] {
         let at = DVec2::new(x_um, 100.0);
         let tiles = tiles_for(&RegionUm { min: at, max: at + 1.0 });
         let Some(&tile) = tiles.first() else { continue };

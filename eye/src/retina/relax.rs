@@ -274,6 +274,8 @@ fn halo_region(field: &Field, tile: &RegionUm, halo: f64) -> RegionUm {
             .flat_map(|m| [corners[m], 0.5 * (corners[m] + corners[(m + 1) % 4])])
             .chain([middle])
             .map(|p| {
+                // Beyond the ora, where the chart folds up, nothing is born.
+                let p = p.clamp_length_max(1.02 * field.density.ora_um());
                 let here = field.local(p);
                 field.spacing_with(p, here.cos_tilt) / here.metric.shortest()
             })
