@@ -173,7 +173,7 @@ fn whole() {
     const EDGES: [f64; 14] = [0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0, 110.0];
     let p = RetinaParams { optic_disc: None, ..RetinaParams::default() };
     let field = Field::new(&p);
-    let half: f64 = std::env::var("HALF").map_or(36_000.0, |s| s.parse().unwrap());
+    let half = 36_000.0;
     let region = RegionUm { min: DVec2::splat(-half), max: DVec2::splat(half) };
     let cell = |at: DVec2| {
         let deg = field.density.visual_deg(at);
