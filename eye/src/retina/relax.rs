@@ -485,7 +485,9 @@ mod tests {
         let (mut cones, mut bodies) = born(&field, &tile, 4.0);
         bodies.truncate(2);
         bodies[1].at = bodies[0].at;
-        bodies.iter_mut().for_each(|body| body.exact = true);
+        for body in &mut bodies {
+            body.exact = true;
+        }
         let mut pairs = Pairs::default();
         pairs.list(&cones, &bodies);
         let mut sums = vec![Sum::default(); 2];
