@@ -168,6 +168,8 @@ pub enum Engine {
     Expected,
     /// The paper's §22, photon by photon.
     Paper,
+    /// Photon by photon, those that could count.
+    Events,
 }
 
 /// How counts are made.

@@ -1,4 +1,5 @@
-//! The engines `paper` (photon by photon) and `expected` (exact means) agree on a benign scene.
+//! The engines agree: `paper` (photon by photon) and `expected` (exact means) on a benign scene, `events` (photons that could count) and
+//! `expected` within chance.
 //!
 //! With the paper's own settings they differ by that method's errors: the 20 µm window, renormalized, and 1024 perturbed rays. With a
 //! wide window and many rays what remains is chance and a stated 2 %, which a chi-square test measures.
@@ -110,4 +111,68 @@ fn with_the_papers_settings_the_difference_is_its_own_error() {
     let chance = means.iter().map(|m| (m * std::f64::consts::FRAC_2_PI).sqrt()).sum::<f64>() / total;
     println!("L1 {l1:.4}, of which chance {chance:.4}");
     assert!(l1 < chance + 0.12, "L1 {l1}, chance {chance}");
+}
+
+/// chi²/n, dispersion and total of `events` over frames against the means of `expected`.
+fn against_means(experiment: &Experiment, frames: u32, least: f64) -> (f64, f64, f64) {
+    let mut experiment = experiment.clone();
+    experiment.counts.poisson = false;
+    let (means, budget) = sums(&experiment, frames);
+    experiment.counts.engine = Engine::Events;
+    experiment.counts.poisson = true;
+    let started = std::time::Instant::now();
+    let (counts, events) = sums(&experiment, frames);
+    let kept: Vec<(f64, f64)> =
+        means.iter().zip(&counts).filter(|(m, _)| **m > least).map(|(m, c)| (*m, *c)).collect();
+    let n = kept.len() as f64;
+    let chi2 = kept.iter().map(|(m, c)| (c - m) * (c - m) / m).sum::<f64>() / n;
+    let (mean, count) = kept.iter().fold((0.0, 0.0), |(a, b), (m, c)| (a + m, b + c));
+    println!(
+        "chi²/n {chi2:.4} over {n} cones of mean {:.1}, total off by {:.2} sd, {:.2} s",
+        mean / n,
+        (count - mean) / mean.sqrt(),
+        started.elapsed().as_secs_f64()
+    );
+    for (name, a, b) in [
+        ("pupil", budget.into_pupil(), events.into_pupil()),
+        ("between cones", budget.between_cones, events.between_cones),
+        ("not absorbed", budget.not_absorbed, events.not_absorbed),
+    ] {
+        assert!((a - b).abs() < 8.0 * a.sqrt() + 3e-3 * a, "{name}: {a} {b}");
+    }
+    assert!((events.fates() / events.emitted - 1.0).abs() < 1e-9);
+    (chi2, n, (count - mean) / mean)
+}
+
+/// Events against means, cone by cone: coloured face-like light, edges and movement. Five standard deviations each (alpha 6e-7), and
+/// 0.4 % of stated error of the drawn tables (nearest nodes, window tail), which adds its square times the mean to chi²/n.
+#[test]
+fn events_are_the_same_distribution_as_means() {
+    let mut bright = figure_12(Pattern::Checkerboard { square_px: 4 });
+    bright.accuracy_target = 1e-3;
+    let mut dim = bright.clone();
+    dim.display.white = photoneye_eye::display::White::LuminanceCdM2(2.0);
+    for (experiment, frames, least) in [(&bright, 2, 30.0), (&dim, 4, 0.3)] {
+        let (chi2, n, total) = against_means(experiment, frames, least);
+        assert!(n > 1000.0);
+        assert!((chi2 - 1.0).abs() < 5.0 * ((2.0 + 1.0 / least) / n).sqrt() + 0.02, "chi²/n {chi2}");
+        assert!(total.abs() < 2e-3, "total off by {total}");
+    }
+}
+
+/// The same counts on one and two threads, and others with another seed.
+#[test]
+fn events_do_not_depend_on_threads() {
+    let mut experiment = benign();
+    experiment.counts.engine = Engine::Events;
+    let on = |threads: usize, seed: u64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let experiment = Experiment {
+            counts: photoneye_eye::experiment::Counts { seed, ..experiment.counts.clone() },
+            ..experiment.clone()
+        };
+        pool.install(|| sums(&experiment, 1).0)
+    };
+    let one = on(1, 5);
+    assert!(one == on(2, 5) && one == on(3, 5) && one != on(1, 6));
 }

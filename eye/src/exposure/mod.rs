@@ -1,11 +1,12 @@
 //! Counting (§22): from a scene's cones and kernels to counts per cone and frame.
 //!
-//! `expected` computes the exact mean of every cone and draws a Poisson number; `paper` follows every photon as §22 is written and
+//! `expected` computes the exact mean of every cone and draws a Poisson number; `events` draws the photons that could count; `paper` follows every photon as §22 is written and
 //! is the slow reference.
 
 mod budget;
 mod codec;
 mod cones;
+mod events;
 mod expected;
 mod grid;
 mod inputs;
@@ -33,6 +34,7 @@ use crate::report::PhotonBudget;
 use crate::video::{Picture, draw};
 use budget::Ledger;
 use cones::ConeTable;
+use events::Events;
 use expected::{Expected, Means, Settings};
 use inputs::Inputs;
 use paper::Paper;
@@ -74,6 +76,7 @@ pub enum ExposureError {
 
 enum Counter {
     Expected(Box<Expected>),
+    Events(Box<Events>),
     Paper(Box<Paper>),
 }
 
@@ -104,6 +107,9 @@ impl Exposure {
             Engine::Expected => {
                 let settings = Settings::for_target(experiment.accuracy_target);
                 Counter::Expected(Box::new(Expected::new(&inputs, &cones, settings)))
+            }
+            Engine::Events => {
+                Counter::Events(Box::new(Events::new(experiment, &inputs, &cones).map_err(model)?))
             }
             Engine::Paper => Counter::Paper(Box::new(Paper::new(experiment, &inputs).map_err(model)?)),
         };
@@ -156,6 +162,11 @@ impl Exposure {
             Counter::Expected(expected) => {
                 let means = expected.frame(&self.projector.frame(index, picture, &self.scene));
                 Ok(self.expected_frame(index, picture, &means))
+            }
+            Counter::Events(events) => {
+                let (counts, means) = events.frame(index, picture, &self.projector);
+                let budget = self.ledger.budget(&self.projector, picture, &self.cones, &means);
+                Ok(Frame { counts: FrameCounts::Counts(counts), budget, diagnostics: Vec::new() })
             }
             Counter::Paper(paper) => {
                 let (counts, fates) = paper.frame(index, picture, &self.projector);

@@ -69,11 +69,7 @@ pub fn transfer_table(
     rho10_per_mm2: f64,
     shape: PolarShape,
 ) -> Result<Transfer, String> {
-    let stiles_crawford =
-        (rho10_per_mm2 > 0.0).then_some(StilesCrawfordApodization { rho_base10_per_mm2: rho10_per_mm2 });
-    let options = WavefrontOptions { stiles_crawford, ..WavefrontOptions::default() };
-    let wavefront =
-        Wavefront::new(projection.eye(), point.object, nm, &options).map_err(|e| e.to_string())?;
+    let wavefront = wavefront(projection, point, nm, rho10_per_mm2)?;
     let otf = Otf::new(&wavefront);
     let landing = projection.retina_um(point.tangent, nm).map_err(|e| e.to_string())?;
     // Cycles of the spread's edge within the frequencies that are kept decide how finely the transfer oscillates.
@@ -93,8 +89,24 @@ pub fn transfer_table(
     Ok(Transfer { table, throughput: wavefront.throughput(), paths })
 }
 
+/// The wavefront of a field point at a wavelength.
+///
+/// # Errors
+/// When the pupil cannot be traced.
+pub fn wavefront(
+    projection: &Projection,
+    point: &FieldPoint,
+    nm: f64,
+    rho10_per_mm2: f64,
+) -> Result<Wavefront, String> {
+    let stiles_crawford =
+        (rho10_per_mm2 > 0.0).then_some(StilesCrawfordApodization { rho_base10_per_mm2: rho10_per_mm2 });
+    let options = WavefrontOptions { stiles_crawford, ..WavefrontOptions::default() };
+    Wavefront::new(projection.eye(), point.object, nm, &options).map_err(|e| e.to_string())
+}
+
 /// Largest distance from the chief ray's landing point at which rays land, µm: the gradient of the path difference.
-fn spot_radius_um(wavefront: &Wavefront) -> f64 {
+pub fn spot_radius_um(wavefront: &Wavefront) -> f64 {
     let [by_x, by_y] = wavefront.opd_um.gradient();
     let to_cosines = wavefront.axes.inverse().transpose();
     let points = (0..4).flat_map(|ring| {

@@ -9,7 +9,13 @@ use crate::retina::Density;
 const SECONDS_PER_CONE: f64 = 11e-6;
 /// CPU seconds per transfer table (field node x wavelength) at 3 mm.
 const SECONDS_PER_TRANSFER: f64 = 9e-3;
-/// CPU seconds per photon of the `paper` engine.
+/// CPU seconds per drawn photon of the `events` engine.
+const SECONDS_PER_EVENT: f64 = 40e-9;
+/// Share of the photons in the pupil that `events` draws, about.
+const DRAWN_SHARE: f64 = 0.15;
+/// CPU seconds of one table to draw from, 3 mm pupil.
+const SECONDS_PER_TABLE: f64 = 4e-3;
+/// CPU seconds for one photon of `paper`.
 const SECONDS_PER_PHOTON: f64 = 0.3e-6;
 /// CPU seconds per point spread of the `paper` engine, at 1024 rays and 128 x 128 samples.
 const SECONDS_PER_SPREAD: f64 = 0.06;
@@ -55,10 +61,15 @@ pub fn predict(experiment: &Experiment, setup: &Setup, kernels: &KernelSpec) -> 
     let frames = f64::from(experiment.frames);
     let frame_seconds = match experiment.counts.engine {
         Engine::Expected => samples * IMAGES * SECONDS_PER_SAMPLE + cones * 1.5e-6,
+        Engine::Events => photons_per_frame(experiment) * DRAWN_SHARE * SECONDS_PER_EVENT,
         Engine::Paper => photons_per_frame(experiment) * SECONDS_PER_PHOTON,
     };
     let prepare_seconds = match experiment.counts.engine {
         Engine::Expected => cones * 8e-6 + samples * IMAGES * SECONDS_PER_SAMPLE,
+        Engine::Events => {
+            let nodes = (size.x / 200.0 + 2.0) * (size.y / 200.0 + 2.0);
+            cones * 8e-6 + nodes * kernels.nodes_nm.len() as f64 * SECONDS_PER_TABLE * pupil.powi(4)
+        }
         Engine::Paper => {
             let rays = f64::from(experiment.counts.paper.rays) / 1024.0;
             let side = f64::from(experiment.counts.paper.samples) / 128.0;

@@ -25,7 +25,7 @@ use setup::Setup;
 pub struct Plan {
     /// Digest of the experiment.
     pub experiment: Digest,
-    /// `EXPECTED` or `PAPER`.
+    /// `EXPECTED`, `EVENTS` or `PAPER`.
     pub engine: String,
     /// Retinal rectangle, µm of arc from the foveal centre.
     pub region: RegionUm,
@@ -149,6 +149,7 @@ pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
         engine: match experiment.counts.engine {
             Engine::Expected => "EXPECTED".into(),
             Engine::Paper => "PAPER".into(),
+            Engine::Events => "EVENTS".into(),
         },
         region: setup.region,
         field_nodes: field_nodes(experiment, &setup).iter().product(),

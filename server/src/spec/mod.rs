@@ -172,16 +172,19 @@ fn counts(spec: Option<&v1::Counts>) -> Result<Counts, FieldError> {
     let spec = spec.copied().unwrap_or_default();
     let settings = spec.settings.unwrap_or_default();
     let paper = PaperSettings::default();
+    let engine = match choice("counts.engine", spec.engine, E::Auto, E::as_str_name)? {
+        E::Auto | E::Expected => Engine::Expected,
+        E::Events => Engine::Events,
+        E::Paper => Engine::Paper,
+    };
+    let poisson = choice("counts.noise", spec.noise, N::Poisson, N::as_str_name)? == N::Poisson;
+    if !poisson && engine != Engine::Expected {
+        let message = "`NONE` (means) needs `counts.engine` `EXPECTED`: photons counted one by one are noisy";
+        return Err(FieldError::new("counts.noise", message));
+    }
     Ok(Counts {
-        engine: match choice("counts.engine", spec.engine, E::Auto, E::as_str_name)? {
-            E::Auto | E::Expected => Engine::Expected,
-            E::Paper => Engine::Paper,
-            E::Events => {
-                let message = "`EVENTS` is not built yet, take `AUTO`, `EXPECTED` or `PAPER`";
-                return Err(FieldError::new("counts.engine", message));
-            }
-        },
-        poisson: choice("counts.noise", spec.noise, N::Poisson, N::as_str_name)? == N::Poisson,
+        engine,
+        poisson,
         seed: spec.seed.unwrap_or(1),
         wavelength_step_nm: settings.wavelength_step_nm,
         paper: PaperSettings {

@@ -1,0 +1,222 @@
+//! What does not change between frames: point spreads by field node and wavelength, and what share of arriving photons each cone counts.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::landing::{Landing, REFERENCE_NM};
+use super::spread::Spread;
+use crate::exposure::cones::ConeTable;
+use crate::exposure::expected::ARRIVING;
+use crate::exposure::inputs::Inputs;
+use crate::exposure::spectral::KINDS;
+use crate::exposure::transfer::{FieldPoint, spot_radius_um, wavefront};
+
+/// Steps of eccentricity between which weights are interpolated.
+const ECC_STEPS: usize = 32;
+/// Largest distance of field nodes, visual degrees, for targets down to 0.5 % and below.
+const NODE_DEG: [f64; 2] = [0.7, 0.35];
+
+/// Optics at one field node and wavelength.
+pub(super) struct Node {
+    /// Landing point against that at the reference wavelength, µm.
+    pub(super) shift_um: DVec2,
+    /// The point spread.
+    pub(super) spread: Spread,
+}
+
+/// One cone's place among the weights.
+struct Cone {
+    kind: usize,
+    ecc: (usize, f32),
+    pointing: f32,
+}
+
+/// The tables.
+pub(super) struct Tables {
+    /// First node and step on the retina, µm, and their number along each side.
+    first_um: DVec2,
+    step_um: DVec2,
+    side: [usize; 2],
+    /// `[wave][node]`.
+    nodes: Vec<Vec<Node>>,
+    /// `[primary][wave][kind][eccentricity]`: share of the primary's photons that is caught.
+    weights: Vec<Vec<Vec<[f32; ECC_STEPS + 1]>>>,
+    /// `[primary][wave]`: the most that any cone counts.
+    most: Vec<Vec<f64>>,
+    cones: Vec<Cone>,
+}
+
+impl Tables {
+    /// Traces the eye at the nodes and looks the weights up.
+    ///
+    /// # Errors
+    /// When a node is not seen or the pupil cannot be traced there.
+    pub(super) fn new(
+        inputs: &Inputs,
+        cones: &ConeTable,
+        landing: &Landing,
+        target: f64,
+    ) -> Result<Self, String> {
+        let Inputs { kernels, retina, .. } = inputs;
+        let spec = kernels.spec();
+        let absorbers = spec.absorbers()?;
+        let shares = spec.shares();
+        let [ecc_from, ecc_to] = spec.ecc_deg;
+        let ecc = |step: usize| ecc_from + (ecc_to - ecc_from) * step as f64 / ECC_STEPS as f64;
+        let by_ecc = |primary: usize, kind: usize, wave: usize| -> [f32; ECC_STEPS + 1] {
+            std::array::from_fn(|step| {
+                let weights = absorbers.weights(
+                    &shares[primary],
+                    &spec.nodes_nm,
+                    KINDS[kind],
+                    ecc(step),
+                    kernels.paths(),
+                );
+                weights[wave] as f32
+            })
+        };
+        let waves = spec.nodes_nm.len();
+        let weights: Vec<Vec<Vec<_>>> = (0..shares.len())
+            .into_par_iter()
+            .map(|k| (0..waves).map(|m| (0..KINDS.len()).map(|kind| by_ecc(k, kind, m)).collect()).collect())
+            .collect();
+        let shoelace =
+            |c: &[DVec2]| 0.5 * (0..c.len()).map(|i| c[i].perp_dot(c[(i + 1) % c.len()])).sum::<f64>().abs();
+        let px: f64 = cones.cones.iter().map(|c| shoelace(&c.polygon_px)).sum();
+        let um: f64 = (0..retina.len())
+            .map(|i| shoelace(&retina.polygon(i).map(|p| p - retina.center(i)).collect::<Vec<_>>()))
+            .sum();
+        let fan: f64 = cones
+            .cones
+            .iter()
+            .map(|c| crate::exposure::spread::polygon_nodes(&c.polygon_px).iter().map(|n| n.1).sum::<f64>())
+            .sum();
+        eprintln!("area px {px} um {um} ratio {} fan {fan}", um / px);
+        let j = landing.jacobian(DVec2::ZERO).determinant();
+        eprintln!("pixel {}", j * inputs.scene.tangent_per_px.powi(2));
+        let l: f64 = cones
+            .cones
+            .iter()
+            .filter(|c| c.cone_type as usize == 0)
+            .map(|c| shoelace(&c.polygon_px) * c.pointing * c.geometry)
+            .sum();
+        let n = inputs.projector.emitters[0].emitted() * inputs.projector.pupil_share;
+        eprintln!("analytic L {}", l * n * 0.30848);
+        let cones: Vec<Cone> = cones
+            .cones
+            .iter()
+            .map(|cone| {
+                let at = ((cone.ecc_deg - ecc_from) / (ecc_to - ecc_from).max(1e-12)).clamp(0.0, 1.0)
+                    * ECC_STEPS as f64;
+                let below = (at as usize).min(ECC_STEPS - 1);
+                let ecc = (below, (at - below as f64) as f32);
+                Cone { kind: cone.cone_type as usize, ecc, pointing: cone.pointing as f32 }
+            })
+            .collect();
+        let pointing = cones.iter().map(|cone| cone.pointing).fold(0.0, f32::max);
+
+        // Nodes evenly over the retina that the window is imaged on and the cones lie on.
+        let [from, to] = landing.bounds();
+        let (low, high) = (landing.um(from), landing.um(to));
+        let (min, max) = (low.min(high).max(retina.region.min), low.max(high).min(retina.region.max));
+        let finest = NODE_DEG[usize::from(target < 0.005)] * 287.0;
+        let side = [0, 1].map(|axis| ((max[axis] - min[axis]).max(0.0) / finest).ceil() as usize + 1);
+        let step_um =
+            DVec2::from_array([0, 1].map(|axis| (max[axis] - min[axis]) / (side[axis] - 1).max(1) as f64));
+        let nodes = trace(inputs, min, step_um, side)?;
+        let accepted = nodes.iter().flatten().map(|node| node.spread.accepted).fold(0.0, f64::max);
+        let most = weights
+            .iter()
+            .map(|waves: &Vec<Vec<[f32; ECC_STEPS + 1]>>| {
+                let of = |kinds: &Vec<[f32; ECC_STEPS + 1]>| {
+                    kinds[..ARRIVING].iter().flatten().copied().fold(0.0, f32::max)
+                };
+                waves.iter().map(|kinds| f64::from(of(kinds) * pointing) * accepted).collect()
+            })
+            .collect();
+        for e in [0.0, 0.2, 0.4] {
+            for kind in 0..4 {
+                let c = kernels.coefficients(kind, DVec2::new(e * 287.0, 0.0), e);
+                let k0: f64 = c.iter().enumerate().map(|(r, c)| c * kernels.table(kind, r, 0)[0].re).sum();
+                let at = e / ecc_to * ECC_STEPS as f64;
+                let w = weights[0][0][kind][at as usize];
+                eprintln!(
+                    "{e} kind {kind} K(0) {k0} mine {} {}",
+                    f64::from(w) * accepted,
+                    nodes[0][0].spread.accepted
+                );
+            }
+        }
+        Ok(Self { first_um: min, step_um, side, nodes, weights, most, cones })
+    }
+
+    /// Number of wavelength nodes.
+    pub(super) fn waves(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Number of cones.
+    pub(super) fn cones(&self) -> usize {
+        self.cones.len()
+    }
+
+    /// Share of a primary's photons near a wavelength node that is drawn.
+    pub(super) fn most(&self, primary: usize, wave: usize) -> f64 {
+        self.most[primary][wave]
+    }
+
+    /// One of the four nodes around a place of the retina, by chance, with bilinear weights.
+    pub(super) fn node(&self, um: DVec2, wave: usize, chance: DVec2) -> &Node {
+        let along = |axis: usize| {
+            let last = self.side[axis] - 1;
+            if last == 0 {
+                return 0;
+            }
+            let at = ((um[axis] - self.first_um[axis]) / self.step_um[axis]).clamp(0.0, last as f64);
+            ((at + chance[axis]) as usize).min(last)
+        };
+        &self.nodes[wave][along(1) * self.side[0] + along(0)]
+    }
+
+    /// Probability that a cone counts a drawn photon that has landed on it, and the number of arriving photons it stands for.
+    pub(super) fn odds(&self, cone: usize, primary: usize, wave: usize, node: &Node) -> (f64, f64) {
+        let cone = &self.cones[cone];
+        let kinds = &self.weights[primary][wave];
+        let at = |kind: usize| {
+            let (below, t) = cone.ecc;
+            f64::from(kinds[kind][below] * (1.0 - t) + kinds[kind][below + 1] * t) * node.spread.accepted
+        };
+        let most = self.most[primary][wave];
+        (at(cone.kind) * f64::from(cone.pointing) / most, at(ARRIVING) / most)
+    }
+}
+
+/// `[wave][node]`.
+fn trace(
+    inputs: &Inputs,
+    first_um: DVec2,
+    step_um: DVec2,
+    side: [usize; 2],
+) -> Result<Vec<Vec<Node>>, String> {
+    let Inputs { kernels, projection, .. } = inputs;
+    let spec = kernels.spec();
+    let points: Vec<FieldPoint> = (0..side[0] * side[1])
+        .map(|node| {
+            let place = DVec2::new((node % side[0]) as f64, (node / side[0]) as f64);
+            FieldPoint::new(projection, first_um + step_um * place)
+        })
+        .collect::<Result<_, String>>()?;
+    let jobs: Vec<(f64, &FieldPoint)> =
+        spec.nodes_nm.iter().flat_map(|&nm| points.iter().map(move |point| (nm, point))).collect();
+    let made: Vec<Node> = jobs
+        .par_iter()
+        .map(|&(nm, point)| {
+            let wavefront = wavefront(projection, point, nm, spec.stiles_crawford_rho10_per_mm2)?;
+            let at = |nm| projection.retina_um(point.tangent, nm).map_err(|e| e.to_string());
+            let shift_um = at(nm)? - at(REFERENCE_NM)?;
+            Ok(Node { shift_um, spread: Spread::new(&wavefront, spot_radius_um(&wavefront)) })
+        })
+        .collect::<Result<_, String>>()?;
+    let mut made = made.into_iter();
+    Ok((0..spec.nodes_nm.len()).map(|_| made.by_ref().take(points.len()).collect()).collect())
+}
