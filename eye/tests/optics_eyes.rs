@@ -2,12 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first error")]
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use photoneye_eye::catalog;
 use photoneye_eye::optics::prescription::ToricData;
+use photoneye_eye::optics::surface::{Conic, refract};
 use photoneye_eye::optics::zernike::{ExtraWavefront, zernike};
 use photoneye_eye::optics::{
-    Dispersion, EyeState, Object, OpticsError, Prescription, PupilBundle, PupilNodes, SchematicEye, Side,
+    Dispersion, EyeState, Object, OpticsError, Prescription, Projection, PupilBundle, PupilNodes, Ray,
+    SchematicEye, Side,
 };
 use photoneye_eye::plan::setup::retina_geometry;
 use photoneye_eye::psf::{HuygensOptions, PsfGrid, Wavefront, WavefrontOptions, huygens, psf};
@@ -216,6 +218,23 @@ fn a_myopic_wavefront_focuses_near() {
     assert!(e.to_string().starts_with("pupil_mm (with a measured wavefront): 5 is outside"), "{e}");
 }
 
+/// The myopic eyes of Atchison 2006: cornea, length and retina by spectacle refraction. An axial myope's far point is where the
+/// spectacles (14 mm before the cornea) put infinity.
+#[test]
+fn long_eyes_of_the_literature_are_myopic() {
+    for spectacles_d in [-2.0, -5.0, -8.0] {
+        let mut p = Prescription::preset("atchison-2006").unwrap();
+        let relaxed = SchematicEye::new(&p, &state_of(&p)).unwrap().focus_vergence_d(555.0).unwrap();
+        p.cornea_front.radius_mm += 0.022 * spectacles_d;
+        p.lens_back.thickness_mm -= 0.299 * spectacles_d;
+        let focus_d = SchematicEye::new(&p, &state_of(&p)).unwrap().focus_vergence_d(555.0).unwrap();
+        let at_cornea_d = -spectacles_d / (1.0 - 0.014 * spectacles_d);
+        // The source's fits to a group of eyes meet their refractions to some 0.3 D.
+        close(focus_d - relaxed, at_cornea_d, 0.3, "far point");
+        println!("{spectacles_d} D: {focus_d} {at_cornea_d}");
+    }
+}
+
 /// The fitted wavefront carries measured errors of high order: its point spread is that of Huygens' sum.
 #[test]
 fn measured_wavefronts_are_fitted() {
@@ -278,6 +297,80 @@ fn extremes_end_in_numbers_or_a_typed_error() {
     }
 }
 
+/// The field of every eye: chief rays to 90° on both sides, landing ever farther out.
+#[test]
+fn chief_rays_reach_90_degrees() {
+    for (name, p) in all() {
+        let eye = SchematicEye::new(&p, &state_of(&p)).unwrap();
+        let mut before = -3.0;
+        for field in -90..=90 {
+            let chief = eye.chief_ray(Object::field(f64::from(field), 0.0).unwrap(), 543.0);
+            let arm = chief.unwrap().landing().unwrap() - eye.retina_centre();
+            let angle = arm.y.atan2(arm.z);
+            assert!(angle > before, "{name} {field}°");
+            before = angle;
+        }
+    }
+}
+
+/// A ray sent back from the retina leaves the eye where it came in.
+#[test]
+fn rays_are_reversible() {
+    for name in ["escudero-sanz-navarro", "navarro-1985"] {
+        let p = Prescription::preset(name).unwrap();
+        let eye = SchematicEye::new(&p, &EyeState { pupil_mm: 8.0, ..state_of(&p) }).unwrap();
+        let n = eye.indices(600.0);
+        let mut z = 0.0;
+        let surfaces = [p.cornea_front, p.cornea_back, p.lens_front, p.lens_back].map(|s| {
+            let conic = Conic { vertex_z: z, radius: s.radius_mm, conic: s.conic };
+            z += s.thickness_mm;
+            conic
+        });
+        let mut arrived = 0;
+        for k in 0..200 {
+            let (a, slant) = (0.37 * f64::from(k), 0.004 * f64::from(k));
+            let d = DVec3::new(slant * a.sin(), slant * a.cos(), 1.0);
+            let aim = DVec3::new(2.0 * (1.7 * a).cos(), 1.5 * (2.3 * a).sin(), 3.0);
+            let ray = Ray::new(aim - 30.0 * d, d).unwrap();
+            let there = eye.trace(&ray, 600.0);
+            let Some(landing) = there.hits[4] else { continue };
+            let (mut point, mut way) = (landing, -there.direction);
+            for (k, surface) in surfaces.iter().enumerate().rev() {
+                // Of a closed surface the ray coming from behind meets the vertex half last or first: the one it came by.
+                point += (there.hits[k].unwrap() - point).dot(way) * way;
+                point += surface.nearest(point, way).unwrap() * way;
+                way = refract(way, surface.normal_against(point, way), n[k + 1], n[k]).unwrap();
+            }
+            assert!((way + ray.direction()).length() < 1e-12, "{name} {k}");
+            assert!((point - there.hits[0].unwrap()).length() < 1e-11, "{name} {k}");
+            arrived += 1;
+        }
+        assert!(arrived > 100, "{arrived}");
+    }
+}
+
+/// Astigmatism at an oblique axis takes the fovea off the plane of symmetry: right stays right and up stays up.
+#[test]
+fn oblique_astigmatism_keeps_the_orientation() {
+    let mut p = Prescription::preset("escudero-sanz-navarro").unwrap();
+    p.cornea_front.toric = Some(ToricData { radius_mm: 7.2, conic: -0.26, axis_deg: 35.0 });
+    for (side, sign) in [(Side::Right, 1.0), (Side::Left, -1.0)] {
+        let eye = SchematicEye::new(&p, &EyeState { side, ..state_of(&p) }).unwrap();
+        assert!(eye.fovea().position.x.abs() > 1e-3, "{:?}", eye.fovea());
+        let screen = Projection::new(&eye, 2000.0).unwrap();
+        assert!(screen.retina_um(DVec2::ZERO, 543.0).unwrap().length() < 1e-8);
+        let right = screen.retina_um(DVec2::new(0.01, 0.0), 543.0).unwrap();
+        let up = screen.retina_um(DVec2::new(0.0, 0.01), 543.0).unwrap();
+        assert!(
+            right.x * sign > 150.0 && right.y.abs() < 10.0 && up.y < -150.0 && up.x.abs() < 10.0,
+            "{right} {up}"
+        );
+        let t = DVec2::new(0.2, -0.1);
+        let back = screen.screen_tangent(screen.retina_um(t, 543.0).unwrap()).unwrap();
+        assert!((back - t).length() < 1e-9, "{back}");
+    }
+}
+
 /// A mosaic can be made on the retina of every eye, of either side, of people of many sizes.
 #[test]
 fn every_eye_has_a_retina() {
@@ -293,6 +386,9 @@ fn every_eye_has_a_retina() {
     }
 }
 
+/// A change of an eye's data.
+type Change<'a> = &'a dyn Fn(&mut Prescription);
+
 #[test]
 fn what_is_no_eye_is_refused_by_field() {
     let p = Prescription::preset("liou-brennan-1997").unwrap();
@@ -301,7 +397,7 @@ fn what_is_no_eye_is_refused_by_field() {
         change(&mut eye);
         eye.validate().unwrap_err().to_string()
     };
-    let cases: [(&dyn Fn(&mut Prescription), &str); 8] = [
+    let cases: [(Change, &str); 8] = [
         (&|p| p.cornea_back.conic = f64::NAN, "cornea_back.conic: NaN is outside -20 to 20"),
         (&|p| p.lens_back.radius_mm = 8.0, "lens_back.radius_mm: 8 is outside -60 to -3"),
         (&|p| p.lens_front.thickness_mm = 1.5, "lens_gradient.parts.from_mm: 1.59 is outside"),

@@ -37,16 +37,13 @@ pub fn run(context: &Context, args: &TraceArgs) -> Result<(), Failure> {
     let mut table = format!("{HEADER}\n");
     let mut fates: BTreeMap<String, usize> = BTreeMap::new();
     for given in &rays {
-        let place = match eyes.iter().position(|(law, _)| *law == given.dispersion) {
-            Some(place) => place,
-            None => {
-                let state = EyeState { pupil_mm: args.pupil_mm, dispersion: given.dispersion, ..state };
-                let eye = SchematicEye::new(&prescription, &state).map_err(Failure::usage)?;
-                eyes.push((given.dispersion, eye));
-                eyes.len() - 1
-            }
-        };
-        let eye = &eyes[place].1;
+        let asked = |(law, _): &&(Dispersion, SchematicEye)| *law == given.dispersion;
+        if !eyes.iter().any(|eye| asked(&eye)) {
+            let state = EyeState { pupil_mm: args.pupil_mm, dispersion: given.dispersion, ..state };
+            let eye = SchematicEye::new(&prescription, &state).map_err(Failure::usage)?;
+            eyes.push((given.dispersion, eye));
+        }
+        let Some((_, eye)) = eyes.iter().find(asked) else { continue };
         let traced = eye.trace(&given.ray, given.wavelength_nm);
         *fates.entry(fate(traced.fate)).or_default() += 1;
         row(&mut table, given, &eye.indices(given.wavelength_nm), &traced);

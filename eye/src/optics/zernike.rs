@@ -71,7 +71,8 @@ fn radial_over_power(n: usize, m: usize, square: f64) -> f64 {
     // Horner's rule from the highest power of ρ² on: s = 0 first.
     (0..=(n - m) / 2).fold(0.0, |sum, s| {
         let sign = if s % 2 == 0 { 1.0 } else { -1.0 };
-        let c = factorial(n - s) / (factorial(s) * factorial((n + m) / 2 - s) * factorial((n - m) / 2 - s));
+        let c = factorial(n - s)
+            / (factorial(s) * factorial(usize::midpoint(n, m) - s) * factorial((n - m) / 2 - s));
         sum * square + sign * c
     })
 }

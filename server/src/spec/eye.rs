@@ -124,7 +124,9 @@ fn overlaid(data: &Prescription, changes: &v1::Eye) -> Result<Prescription, Fiel
     not_a_number("eye", &over)?;
     if let (Some(base), Some(over)) = (base.as_object_mut(), over.as_object_mut()) {
         if TABLES.iter().any(|name| over.contains_key(*name)) {
-            TABLES.iter().for_each(|name| drop(base.insert((*name).to_owned(), Value::Null)));
+            for name in TABLES {
+                base.insert(name.to_owned(), Value::Null);
+            }
         }
         // A gradient without parts and a message of defaults come as an empty object.
         if let Some(gradient) = over.get_mut("lens_gradient").and_then(Value::as_object_mut) {

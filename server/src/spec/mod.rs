@@ -27,7 +27,7 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
         Video::Pattern(_) => 1,
     });
     let experiment = Experiment {
-        eye: eye::eye(spec.eye.as_ref(), display.distance_cm)?,
+        eye: eye::eye(spec.eye.as_deref(), display.distance_cm)?,
         retina: retina(spec.retina.as_ref())?,
         display,
         video,
