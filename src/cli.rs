@@ -52,6 +52,8 @@ pub enum Command {
     Render(RenderArgs),
     /// Grow the cones out to an eccentricity; prints figures of the mosaic
     Retina(RetinaArgs),
+    /// List the model eyes
+    Eyes,
     /// Compute one point spread of the eye
     Psf(PsfArgs),
     /// Trace given rays through the unaccommodated eye

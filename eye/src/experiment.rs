@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::digest::{Digest, digest_of};
 use crate::display::Display;
-use crate::optics::{Dispersion, Side};
+use crate::optics::{Dispersion, OpticsError, Prescription, Side};
 use crate::retina::{
     CellWalls, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry, RetinaParams,
 };
@@ -61,6 +61,10 @@ pub struct Eye {
     pub stiles_crawford_rho10_per_mm2: f64,
     /// Standard deviation of a cone's pointing error, degrees, per axis.
     pub pointing_sd_deg: f64,
+    /// The eye's data when they are not those of the preset as they stand.
+    pub prescription: Option<Box<Prescription>>,
+    /// Whether the eye stays unaccommodated, whatever it looks at.
+    pub relaxed: bool,
 }
 
 /// The cone mosaic.
@@ -300,6 +304,14 @@ fn check_rgb(field: &str, rgb: [f64; 3]) -> Result<(), RangeError> {
 }
 
 impl Eye {
+    /// The data of the eye.
+    ///
+    /// # Errors
+    /// [`OpticsError`] when there is no such preset.
+    pub fn prescription(&self) -> Result<Prescription, OpticsError> {
+        self.prescription.as_deref().map_or_else(|| Prescription::preset(&self.preset), |p| Ok(p.clone()))
+    }
+
     fn validate(&self) -> Result<(), RangeError> {
         check_range("eye.pupil_mm", self.pupil_mm, 0.5, 9.0)?;
         check_range("eye.pupil_decentre_mm", self.decentre_mm, 0.0, 1.0)?;

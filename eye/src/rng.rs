@@ -28,6 +28,8 @@ pub enum Purpose {
     Study = 8,
     /// Cones lost at random.
     Dropout = 9,
+    /// Features of a person's eye.
+    Eye = 10,
 }
 
 const MUL: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

@@ -1,6 +1,7 @@
 //! One file a command.
 
 mod cancel;
+mod eyes;
 mod jobs;
 mod plan;
 mod psf;
@@ -47,6 +48,7 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Cancel(args) => block_on(cancel::run(context, args)),
         Command::Render(args) => render::run(&context, &args),
         Command::Retina(args) => retina::run(&context, &args),
+        Command::Eyes => eyes::run(&context),
         Command::Psf(args) => psf::run(&context, &args),
         Command::Trace(args) => trace::run(&context, &args),
     }

@@ -2,19 +2,17 @@
 
 use std::time::Instant;
 
-use photoneye_eye::optics::{EyeState, Object, Prescription, SchematicEye, Side};
+use photoneye_eye::optics::{EyeState, Object, SchematicEye};
 use photoneye_eye::psf::{Amplitude, HuygensOptions, PsfGrid, Wavefront, WavefrontOptions, huygens, psf};
 use photoneye_store::npy;
 use serde_json::json;
 
 use super::Context;
+use super::eyes::asked_for;
 use crate::cli_optics::{AmplitudeName, MethodName, PsfArgs};
 use crate::failure::Failure;
 use crate::output;
 use crate::result_folder::write_file;
-
-/// Name of the eye.
-pub(super) const EYE: &str = "escudero-sanz-navarro";
 
 /// Runs the command.
 pub fn run(context: &Context, args: &PsfArgs) -> Result<(), Failure> {
@@ -24,16 +22,11 @@ pub fn run(context: &Context, args: &PsfArgs) -> Result<(), Failure> {
     if !(365.0..=1014.0).contains(&args.wavelength_nm) {
         return Err(Failure::usage("--wavelength-nm: allowed are 365 to 1014"));
     }
-    let state = EyeState {
-        pupil_mm: args.pupil_mm,
-        decentre_mm: args.decentre_mm,
-        accommodation_a: args.accommodation_a,
-        dispersion: args.dispersion.into(),
-        side: Side::Right,
-    };
-    let prescription = Prescription::preset(EYE).map_err(Failure::failed)?;
+    let (prescription, state) = asked_for(&args.eye)?;
+    let state = EyeState { pupil_mm: args.pupil_mm, accommodation_a: args.accommodation_a, ..state };
+    let field_deg = args.field_deg.unwrap_or(prescription.fovea_angle_deg);
     let eye = SchematicEye::new(&prescription, &state).map_err(Failure::usage)?;
-    let object = Object::field(args.field_deg, args.object_vergence_d).map_err(Failure::usage)?;
+    let object = Object::field(field_deg, args.object_vergence_d).map_err(Failure::usage)?;
     let grid = PsfGrid::new(args.samples as usize, args.half_width_um);
     let options = WavefrontOptions {
         amplitude: match args.amplitude {

@@ -102,7 +102,7 @@ pub fn retina_geometry(prescription: &Prescription, state: &EyeState) -> Result<
 fn focused_eye(experiment: &Experiment) -> Result<(Prescription, EyeState), PlanError> {
     let eye = &experiment.eye;
     let model = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
-    let prescription = Prescription::preset(&eye.preset).map_err(model)?;
+    let prescription = eye.prescription().map_err(model)?;
     let mut state = EyeState {
         pupil_mm: eye.pupil_mm,
         decentre_mm: eye.decentre_mm,
@@ -110,6 +110,9 @@ fn focused_eye(experiment: &Experiment) -> Result<(Prescription, EyeState), Plan
         dispersion: eye.dispersion,
         side: eye.side,
     };
+    if eye.relaxed {
+        return Ok((prescription, state));
+    }
     let distance_mm = eye.focus_distance_cm * 10.0;
     state.accommodation_a =
         SchematicEye::accommodation_for(&prescription, &state, distance_mm, eye.focus_wavelength_nm)
