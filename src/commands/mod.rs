@@ -9,6 +9,7 @@ mod results;
 mod retina;
 mod run;
 mod serve;
+mod study;
 mod submit;
 mod trace;
 mod watch;
@@ -49,6 +50,7 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Retina(args) => retina::run(&context, &args),
         Command::Psf(args) => psf::run(&context, &args),
         Command::Trace(args) => trace::run(&context, &args),
+        Command::Study(args) => study::run(&context, &args),
     }
 }
 
