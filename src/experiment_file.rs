@@ -23,12 +23,13 @@ pub struct ExperimentFile {
     pub experiment: v1::Experiment,
     /// Name of the file without folder and ending.
     pub stem: String,
-    pictures: Vec<Picture>,
+    pictures: Vec<Upload>,
+    mosaic: Option<Upload>,
 }
 
-/// A picture file that was read.
+/// A file that was read.
 #[derive(Debug)]
-struct Picture {
+struct Upload {
     path: PathBuf,
     bytes: Bytes,
 }
@@ -55,19 +56,26 @@ impl ExperimentFile {
             Some(v1::video::Kind::Files(files)) => read_pictures(folder, &files.paths)?,
             _ => Vec::new(),
         };
+        let mosaic = read_mosaic(folder, experiment.retina.as_ref())?;
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         Ok(Self {
             experiment,
             stem: stem.filter(|stem| stem != "-").unwrap_or_else(|| "experiment".into()),
             pictures,
+            mosaic,
         })
     }
 
-    /// Uploads the pictures and names them by digest in the experiment.
+    /// Uploads the pictures and the mosaic and names them by digest in the experiment.
     ///
     /// # Errors
     /// When the server does not take them.
     pub async fn upload(&mut self, client: &Client) -> Result<(), Failure> {
+        if let Some(table) = &self.mosaic {
+            let blob = client.put_blob(table.bytes.clone()).await?;
+            let kind = Some(v1::mosaic::Kind::Blob(blob));
+            self.experiment.retina.get_or_insert_default().mosaic = Some(v1::Mosaic { kind });
+        }
         if self.pictures.is_empty() {
             return Ok(());
         }
@@ -83,11 +91,15 @@ impl ExperimentFile {
     /// Says which file is meant where the server names an upload.
     pub fn name_pictures(&self, failure: Failure) -> Failure {
         let name = |text: String| {
-            let named = |(text, i): (String, usize), picture: &Picture| {
+            let named = |(text, i): (String, usize), picture: &Upload| {
                 let path = picture.path.display().to_string();
                 (text.replace(&format!("video.clip.blobs[{i}]"), &path), i + 1)
             };
-            self.pictures.iter().fold((text, 0), named).0
+            let text = self.pictures.iter().fold((text, 0), named).0;
+            match &self.mosaic {
+                Some(table) => text.replace("retina.mosaic.blob", &table.path.display().to_string()),
+                None => text,
+            }
         };
         match failure {
             Failure::Usage(text) => Failure::Usage(name(text)),
@@ -113,7 +125,7 @@ fn read_text(path: &Path) -> Result<String, Failure> {
     Ok(text)
 }
 
-fn read_pictures(folder: &Path, paths: &[String]) -> Result<Vec<Picture>, Failure> {
+fn read_pictures(folder: &Path, paths: &[String]) -> Result<Vec<Upload>, Failure> {
     if paths.is_empty() {
         return Err(Failure::usage("video.files.paths: names no picture"));
     }
@@ -125,14 +137,30 @@ fn read_pictures(folder: &Path, paths: &[String]) -> Result<Vec<Picture>, Failur
     paths.iter().enumerate().map(read).collect()
 }
 
-fn read_picture(path: &Path) -> Result<Picture, String> {
+/// The table of a measured mosaic, if the experiment names a file.
+fn read_mosaic(folder: &Path, retina: Option<&v1::Retina>) -> Result<Option<Upload>, Failure> {
+    let kind = retina.and_then(|retina| retina.mosaic.as_ref()).and_then(|mosaic| mosaic.kind.as_ref());
+    let Some(v1::mosaic::Kind::File(file)) = kind else {
+        return Ok(None);
+    };
+    let path = folder.join(file);
+    let wrong = |why: String| Failure::usage(format!("retina.mosaic.file: {}: {why}", path.display()));
+    let length = std::fs::metadata(&path).map_err(|e| wrong(plain(&e)))?.len();
+    if length > MAX_PICTURE_BYTES {
+        return Err(wrong(format!("{length} bytes, allowed are {MAX_PICTURE_BYTES}")));
+    }
+    let bytes = Bytes::from(std::fs::read(&path).map_err(|e| wrong(plain(&e)))?);
+    Ok(Some(Upload { path, bytes }))
+}
+
+fn read_picture(path: &Path) -> Result<Upload, String> {
     let length = std::fs::metadata(path).map_err(|e| plain(&e))?.len();
     if length > MAX_PICTURE_BYTES {
         return Err(format!("{length} bytes, allowed are {MAX_PICTURE_BYTES}"));
     }
     let bytes = Bytes::from(std::fs::read(path).map_err(|e| plain(&e))?);
     png_size(&bytes, Limits::default()).map_err(|e| e.to_string())?;
-    Ok(Picture { path: path.to_owned(), bytes })
+    Ok(Upload { path: path.to_owned(), bytes })
 }
 
 /// Applies one `a.b[0].c=value`; the value is JSON, or text when it is not.

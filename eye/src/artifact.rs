@@ -7,7 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::digest::{Digest, digest_of};
 use crate::exposure::KernelSpec;
-use crate::retina::{ConeType, Counts, RegionUm, Retina, RetinaParams, RetinaTile, TileId, build_tile};
+use crate::retina::{
+    ConeType, Counts, RegionUm, Retina, RetinaParams, RetinaTile, TileId, build_tile, import,
+};
 
 /// An artifact's inputs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -23,6 +25,15 @@ pub enum ArtifactSpec {
     Cones {
         /// Keys of the mosaic tiles, in order.
         tiles: Vec<Digest>,
+        /// The region.
+        region: RegionUm,
+    },
+    /// The cones of a scene's region out of a measured mosaic; its bytes are `Retina::to_bytes`.
+    MeasuredCones {
+        /// Digest of the table's text, `b3:<64 hex digits>/<size>`.
+        table: String,
+        /// Seed, geometry, coverage and pointing.
+        params: Box<RetinaParams>,
         /// The region.
         region: RegionUm,
     },
@@ -62,7 +73,7 @@ impl ArtifactSpec {
     pub fn kind(&self) -> &'static str {
         match self {
             Self::RetinaTile { .. } => "retina-tile",
-            Self::Cones { .. } => "cones",
+            Self::Cones { .. } | Self::MeasuredCones { .. } => "cones",
             Self::Kernels(_) => "kernels",
         }
     }
@@ -70,7 +81,7 @@ impl ArtifactSpec {
     /// Rises whenever the same inputs give other bytes.
     fn version(&self) -> u32 {
         match self {
-            Self::RetinaTile { .. } | Self::Cones { .. } => 2,
+            Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 2,
             Self::Kernels(_) => 1,
         }
     }
@@ -87,11 +98,19 @@ impl ArtifactSpec {
     pub fn inputs(&self) -> Vec<Digest> {
         match self {
             Self::Cones { tiles, .. } => tiles.clone(),
-            Self::RetinaTile { .. } | Self::Kernels(_) => Vec::new(),
+            Self::RetinaTile { .. } | Self::MeasuredCones { .. } | Self::Kernels(_) => Vec::new(),
         }
     }
 
-    /// Builds the artifact from its inputs, which are given in the order of [`ArtifactSpec::inputs`].
+    /// Digest of the uploaded blob that it is made from, if any; its bytes are an input under [`blob_key`].
+    pub fn blob(&self) -> Option<&str> {
+        match self {
+            Self::MeasuredCones { table, .. } => Some(table),
+            Self::RetinaTile { .. } | Self::Cones { .. } | Self::Kernels(_) => None,
+        }
+    }
+
+    /// Builds the artifact from its inputs: those of [`ArtifactSpec::inputs`] and [`ArtifactSpec::blob`].
     ///
     /// # Errors
     /// [`BuildError::Input`] for an input that is missing or damaged, [`BuildError::Model`] when the model refuses.
@@ -116,6 +135,15 @@ impl ArtifactSpec {
                     diagnostics: Vec::new(),
                 })
             }
+            Self::MeasuredCones { table, params, region } => {
+                let retina = measured(input(blob_key(table)?, inputs)?, params, region)?;
+                Ok(Built {
+                    bytes: retina.to_bytes(),
+                    cones: Some(retina.len() as u64),
+                    cones_by_type: by_type(&retina.cone_type),
+                    diagnostics: events(retina.cones.counts),
+                })
+            }
             Self::Kernels(spec) => {
                 let bytes = spec.build().and_then(|k| k.to_bytes()).map_err(BuildError::Model)?;
                 Ok(Built { bytes, cones: None, cones_by_type: [0; 3], diagnostics: Vec::new() })
@@ -127,13 +155,43 @@ impl ArtifactSpec {
 fn read_tiles(keys: &[Digest], inputs: &[Input]) -> Result<Vec<RetinaTile>, BuildError> {
     keys.iter()
         .map(|key| {
-            let (_, bytes) = inputs
-                .iter()
-                .find(|(k, _)| k == key)
-                .ok_or_else(|| BuildError::Input(*key, "it was not given".into()))?;
+            let bytes = input(*key, inputs)?;
             RetinaTile::from_bytes(bytes).map_err(|e| BuildError::Input(*key, e.to_string()))
         })
         .collect()
+}
+
+fn input<'a>(key: Digest, inputs: &[Input<'a>]) -> Result<&'a [u8], BuildError> {
+    let found = inputs.iter().find(|(other, _)| *other == key);
+    found.map(|(_, bytes)| *bytes).ok_or_else(|| BuildError::Input(key, "it was not given".into()))
+}
+
+/// The key of an uploaded blob among the inputs: the hash in its digest.
+///
+/// # Errors
+/// When the text is not a digest.
+pub fn blob_key(digest: &str) -> Result<Digest, BuildError> {
+    let hex = digest.strip_prefix("b3:").and_then(|rest| rest.split('/').next()).unwrap_or(digest);
+    hex.parse().map_err(BuildError::Model)
+}
+
+/// The cones of a table that lie in a region.
+fn measured(csv: &[u8], params: &RetinaParams, region: &RegionUm) -> Result<Retina, BuildError> {
+    let refused = |why: String| BuildError::Model(format!("retina.mosaic: {why}"));
+    let csv = std::str::from_utf8(csv).map_err(|e| refused(e.to_string()))?;
+    let all = import(csv, params).map_err(|e| refused(e.to_string()))?;
+    let retina = all.within(region);
+    if retina.is_empty() {
+        let box_of = |r: &RegionUm| {
+            format!("x {:.0} to {:.0}, y {:.0} to {:.0} µm", r.min.x, r.max.x, r.min.y, r.max.y)
+        };
+        return Err(refused(format!(
+            "no cone of it lies in the scene's patch of retina ({}); its cones lie in {}",
+            box_of(region),
+            box_of(&all.region)
+        )));
+    }
+    Ok(retina)
 }
 
 fn by_type(types: &[ConeType]) -> [u64; 3] {

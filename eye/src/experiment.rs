@@ -92,6 +92,8 @@ pub struct Retina {
     pub optic_disc: bool,
     /// A fixed patch, visual degrees x_min, x_max, y_min, y_max; `None`: the scene decides.
     pub region_deg: Option<[f64; 4]>,
+    /// Digest of an uploaded table of measured cones that takes the place of a grown mosaic.
+    pub mosaic: Option<String>,
 }
 
 /// What is shown.
@@ -328,6 +330,7 @@ impl Default for Retina {
             dropout: p.dropout,
             optic_disc: p.optic_disc.is_some(),
             region_deg: None,
+            mosaic: None,
         }
     }
 }

@@ -7,6 +7,7 @@ pub mod error;
 mod grpc;
 pub mod jobs;
 mod listen;
+mod mosaic;
 mod report;
 mod rest;
 mod results;

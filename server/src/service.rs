@@ -219,6 +219,7 @@ impl Service {
     async fn prepare(&self, message: &v1::Experiment) -> Result<(Experiment, Plan), Error> {
         let experiment = spec::experiment(message)?;
         self.check_pictures(&experiment.video, &experiment.display).await?;
+        self.check_mosaic(&experiment.retina).await?;
         let task = tokio::task::spawn_blocking(move || {
             let plan = photoneye_eye::plan::plan(&experiment);
             (experiment, plan)

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
-use crate::{BlobDigest, BlobSink, Blobs, StoreError};
+use crate::{BlobDigest, BlobSink, Blobs, Mapped, StoreError};
 
 /// Read at once while verifying.
 const PIECE: usize = 256 << 10;
@@ -71,6 +71,20 @@ impl FolderStore {
             Err(e) if e.kind() == io::ErrorKind::NotFound => Err(StoreError::Missing(*digest)),
             Err(e) => Err(io_error("read", &path, e)),
         }
+    }
+
+    /// A blob mapped into memory, verified: one pass over its bytes and no copy.
+    ///
+    /// # Errors
+    /// [`StoreError::Missing`], [`StoreError::Damaged`], or the store cannot read.
+    pub fn map(&self, digest: &BlobDigest) -> Result<Mapped, StoreError> {
+        let (file, path) = self.open_file(digest)?;
+        let length = file.metadata().map_err(|e| io_error("read", &path, e))?.len();
+        if length != digest.size {
+            return Err(self.set_aside(digest, &path));
+        }
+        let map = Mapped::new(&file).map_err(|e| io_error("map", &path, e))?;
+        if BlobDigest::of(&map) == *digest { Ok(map) } else { Err(self.set_aside(digest, &path)) }
     }
 
     /// Moves a damaged blob aside, so that it is missing from now on and can be looked at.
@@ -213,6 +227,7 @@ mod tests {
             assert_eq!(store.put(&bytes).unwrap(), digest);
             assert!(store.has(&digest).unwrap());
             assert_eq!(store.get(&digest).unwrap(), bytes);
+            assert!(*store.map(&digest).unwrap() == *bytes);
             let mut read = Vec::new();
             store.open(&digest).unwrap().read_to_end(&mut read).unwrap();
             assert_eq!(read, bytes);
@@ -233,9 +248,13 @@ mod tests {
         let (_folder, store) = store();
         let digest = store.put(b"twelve bytes").unwrap();
         for damaged in [&b"twelve bytez"[..], b"twelve", b"twelve bytes and more", b""] {
-            for by_get in [true, false] {
+            for by in 0..3 {
                 fs::write(store.path(&digest), damaged).unwrap();
-                let error = if by_get { store.get(&digest).err() } else { store.open(&digest).err() };
+                let error = match by {
+                    0 => store.get(&digest).err(),
+                    1 => store.open(&digest).err(),
+                    _ => store.map(&digest).err(),
+                };
                 assert!(matches!(error, Some(StoreError::Damaged(d)) if d == digest));
                 assert!(matches!(store.get(&digest), Err(StoreError::Missing(_))));
                 store.put(b"twelve bytes").unwrap();
@@ -247,6 +266,16 @@ mod tests {
         store.put(b"twelve bytes").unwrap();
         assert_eq!(store.get(&digest).unwrap(), b"twelve bytes");
         assert!(fs::read_dir(store.root().join("damaged")).unwrap().count() > 0);
+    }
+
+    #[test]
+    fn a_map_outlives_its_file() {
+        let (_folder, store) = store();
+        let digest = store.put(&[9; 100_000]).unwrap();
+        let map = store.map(&digest).unwrap();
+        fs::remove_file(store.path(&digest)).unwrap();
+        assert!(matches!(store.map(&digest), Err(StoreError::Missing(_))));
+        assert!(map.iter().all(|&byte| byte == 9));
     }
 
     #[test]

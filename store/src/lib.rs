@@ -5,11 +5,13 @@
 
 pub mod digest;
 pub mod folder;
+pub mod mapped;
 pub mod npy;
 pub mod table;
 
 pub use digest::BlobDigest;
 pub use folder::FolderStore;
+pub use mapped::Mapped;
 
 use std::io::Read;
 use std::path::PathBuf;

@@ -5,5 +5,6 @@ mod bad_input;
 mod crash;
 mod optics;
 mod rest;
+mod retina;
 mod run;
 mod support;

@@ -1,8 +1,7 @@
-//! `psf`, `trace` and `retina`: the commands that ask the model alone.
+//! `psf` and `trace`: the commands that ask the optics alone.
 
 use std::fs;
 
-use photoneye_store::table::read_cones_file;
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -49,19 +48,4 @@ fn rays_come_out_in_their_order_with_their_fate() {
     // Optical path along the axis with the published thicknesses: 30 mm of air and the four media.
     let first: Vec<&str> = table.lines().nth(1).unwrap().split(',').collect();
     assert!(first[first.len() - 2].parse::<f64>().unwrap() > 60.0);
-}
-
-#[test]
-fn a_patch_of_retina_does_not_depend_on_threads() {
-    let place = tempdir().unwrap();
-    for threads in ["1", "2"] {
-        let mut command = photoneye(place.path());
-        command.args(["retina", "--to-deg", "0.4", "--threads", threads, "--out", threads]);
-        let said = succeed(&mut command);
-        assert!(said.contains("cones:"), "{said}");
-    }
-    let read = |name: &str| fs::read(place.path().join(name)).unwrap();
-    assert!(read("1") == read("2"));
-    let cones = read_cones_file(&read("1")).unwrap();
-    assert!(cones.ecc_deg.iter().all(|ecc| *ecc <= 0.4) && cones.len() > 2000, "{}", cones.len());
 }

@@ -5,10 +5,11 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use photoneye_eye::artifact::{ArtifactSpec, BuildError, Built, Input};
+use photoneye_eye::artifact::{ArtifactSpec, BuildError, Built, Input, blob_key};
 use photoneye_eye::digest::Digest;
 use photoneye_eye::report::WorkReport;
 use photoneye_proto::v1;
+use photoneye_store::Mapped;
 
 use crate::lease::{Done, Lease};
 use crate::{Shared, WorkError, blocking, memory};
@@ -26,6 +27,12 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, build: v1::Build) -
         lease.check()?;
     }
 
+    if let Some(blob) = spec.blob() {
+        let key = blob_key(blob).map_err(|error| WorkError::Model(error.to_string()))?;
+        inputs.push((key, shared.cache.blob(blob).await?));
+        lease.check()?;
+    }
+
     // Build it.
     let cones_known = spec.kind() == "cones";
     let started = Instant::now();
@@ -34,7 +41,7 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, build: v1::Build) -
     lease.check()?;
 
     // Hand it over; keep a copy, most artifacts are needed here next.
-    let bytes = Bytes::from(shared.cache.keep(built.bytes).await?);
+    let bytes = Bytes::from_owner(shared.cache.keep(built.bytes).await?);
     let digest = shared.remote.put(bytes).await?;
     Ok(Done {
         done: v1::commit_request::Done::Artifact(v1::ArtifactResult {
@@ -68,8 +75,8 @@ fn parse(build: &v1::Build) -> Result<ArtifactSpec, WorkError> {
     }
 }
 
-fn build_artifact(spec: &ArtifactSpec, inputs: &[(Digest, Vec<u8>)]) -> Result<Built, WorkError> {
-    let inputs: Vec<Input> = inputs.iter().map(|(key, bytes)| (*key, bytes.as_slice())).collect();
+fn build_artifact(spec: &ArtifactSpec, inputs: &[(Digest, Mapped)]) -> Result<Built, WorkError> {
+    let inputs: Vec<Input> = inputs.iter().map(|(key, bytes)| (*key, &**bytes)).collect();
     spec.build(&inputs).map_err(|error| match error {
         BuildError::Input(..) => WorkError::Passing(error.to_string()),
         BuildError::Model(message) => WorkError::Model(message),

@@ -1,4 +1,4 @@
-//! Local copies of blobs, by digest: verified when read, fetched once even when many ask, the longest unused go first.
+//! Local copies of blobs, by digest: mapped into memory, verified each time, fetched once even when many ask, the longest unused go first.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 
 use photoneye_proto::v1::ArtifactRef;
-use photoneye_store::{BlobDigest, Blobs as _, FolderStore, StoreError};
+use photoneye_store::{BlobDigest, Blobs as _, FolderStore, Mapped, StoreError};
 use tokio::sync::Mutex as AsyncMutex;
 
 use crate::remote::Remote;
@@ -84,7 +84,7 @@ impl Cache {
     }
 
     /// The bytes of an artifact.
-    pub(crate) async fn artifact(&self, artifact: &ArtifactRef) -> Result<Vec<u8>, WorkError> {
+    pub(crate) async fn artifact(&self, artifact: &ArtifactRef) -> Result<Mapped, WorkError> {
         let bytes = self.blob(artifact.digest()).await?;
         if let Ok(digest) = artifact.digest().parse() {
             self.used().artifacts.insert(digest, artifact.key().to_owned());
@@ -93,7 +93,7 @@ impl Cache {
     }
 
     /// The bytes of a blob: from the folder, or from the server.
-    pub(crate) async fn blob(&self, digest: &str) -> Result<Vec<u8>, WorkError> {
+    pub(crate) async fn blob(&self, digest: &str) -> Result<Mapped, WorkError> {
         let digest: BlobDigest = digest
             .parse()
             .map_err(|error: photoneye_store::digest::NotADigest| WorkError::Model(error.to_string()))?;
@@ -110,12 +110,12 @@ impl Cache {
         bytes
     }
 
-    async fn read_or_fetch(&self, digest: BlobDigest) -> Result<Vec<u8>, WorkError> {
+    async fn read_or_fetch(&self, digest: BlobDigest) -> Result<Mapped, WorkError> {
         let folder = self.folder.clone();
-        let local = blocking(move || Ok(folder.get(&digest))).await?;
-        if let Ok(bytes) = local {
+        let local = blocking(move || Ok(folder.map(&digest))).await?;
+        if let Ok(map) = local {
             self.used().touch(digest);
-            return Ok(bytes);
+            return Ok(map);
         }
         self.used().forget(&digest);
         let bytes = self.remote.get(digest).await?;
@@ -126,9 +126,13 @@ impl Cache {
     }
 
     /// Keeps bytes that were just made, so that they need not be fetched back.
-    pub(crate) async fn keep(&self, bytes: Vec<u8>) -> Result<Vec<u8>, WorkError> {
+    pub(crate) async fn keep(&self, bytes: Vec<u8>) -> Result<Mapped, WorkError> {
         let folder = self.folder.clone();
-        let (digest, bytes) = blocking(move || Ok((folder.put(&bytes)?, bytes))).await?;
+        let (digest, map) = blocking(move || {
+            let digest = folder.put(&bytes)?;
+            Ok((digest, folder.map(&digest)?))
+        })
+        .await?;
         let gone = {
             let mut used = self.used();
             used.touch(digest);
@@ -137,7 +141,7 @@ impl Cache {
         for digest in gone {
             remove(&self.folder, &digest);
         }
-        Ok(bytes)
+        Ok(map)
     }
 
     /// Keys of artifacts that are here, for the server to prefer this worker.
@@ -195,7 +199,7 @@ mod tests {
         let digest = |fill| BlobDigest::of(&text(fill)).to_string();
         cache.keep(text(1)).await.unwrap();
         cache.keep(text(2)).await.unwrap();
-        assert_eq!(cache.blob(&digest(1)).await.unwrap(), text(1));
+        assert!(*cache.blob(&digest(1)).await.unwrap() == *text(1));
         cache.keep(text(3)).await.unwrap();
         let here = |fill| cache.folder.has(&BlobDigest::of(&text(fill))).unwrap();
         assert_eq!([here(1), here(2), here(3)], [true, false, true]);

@@ -181,6 +181,17 @@ fn artifacts(
             predicted_bytes,
         })
     };
+    let kernels = planned(ArtifactSpec::Kernels(Box::new(kernels)), cost.kernel_seconds, cost.kernel_bytes)?;
+    if let Some(table) = &setup.mosaic {
+        let spec = ArtifactSpec::MeasuredCones {
+            table: table.clone(),
+            params: Box::new(setup.retina.clone()),
+            region: setup.region,
+        };
+        let cones = planned(spec, cost.tiles_seconds, cost.cones_bytes)?;
+        let needed = vec![vec![cones.key, kernels.key]];
+        return Ok((vec![cones, kernels], needed));
+    }
     let tiles = tiles_for(&setup.region);
     let count = tiles.len() as f64;
     let mut artifacts = tiles
@@ -193,7 +204,6 @@ fn artifacts(
     let tiles = artifacts.iter().map(|a| a.key).collect();
     let cones = ArtifactSpec::Cones { tiles, region: setup.region };
     let cones = planned(cones, 0.02 * cost.tiles_seconds, cost.cones_bytes)?;
-    let kernels = planned(ArtifactSpec::Kernels(Box::new(kernels)), cost.kernel_seconds, cost.kernel_bytes)?;
     let needed = vec![vec![cones.key, kernels.key]];
     artifacts.extend([cones, kernels]);
     Ok((artifacts, needed))

@@ -35,6 +35,8 @@ pub struct Setup {
     pub scene: Scene,
     /// The mosaic's parameters.
     pub retina: RetinaParams,
+    /// Digest of the table of measured cones, if they take the mosaic's place.
+    pub mosaic: Option<String>,
     /// Distance between a cone and the nearest copy of the picture, µm.
     pub guard_um: f64,
 }
@@ -67,7 +69,8 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
         RangeError::new("retina.region_deg", "the scene", &allowed)
     })?;
     let retina = retina_params(experiment, &prescription, &state)?;
-    Ok(Setup { prescription, state, projection, gaze, region, scene, retina, guard_um })
+    let mosaic = experiment.retina.mosaic.clone();
+    Ok(Setup { prescription, state, projection, gaze, region, scene, retina, mosaic, guard_um })
 }
 
 fn retina_params(

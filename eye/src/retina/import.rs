@@ -26,8 +26,19 @@ use crate::rng::{Purpose, Stream};
 
 /// Pairs closer than this share of their spacing are counted (D < 0.6, as in `cells`).
 const CLOSE: f64 = 0.6 * RADIUS_FACTOR;
+/// Side of the largest bin of a search, µm.
+const LARGEST_BIN_UM: f64 = 25.0;
 /// Nearest cones that give the spacing.
 const NEAREST: usize = 6;
+
+/// Cones in a table, each row checked as [`import`] does, but not their distances.
+///
+/// # Errors
+/// As [`import`].
+pub fn check_mosaic(csv: &str, params: &RetinaParams) -> Result<usize, ImportError> {
+    params.validate()?;
+    Ok(Table::read(csv, &Field::new(params))?.at.len())
+}
 
 /// The retina of a table; its region is the smallest rectangle that holds the cones, with a spacing round it. `params` give seed, geometry,
 /// coverage and pointing.
@@ -73,9 +84,9 @@ fn as_relaxed(field: &Field, table: &Table) -> Result<Relaxed, ImportError> {
     for &at in &table.at {
         (low, high) = (low.min(at), high.max(at));
     }
-    // Bins for some three cones, were they spread evenly.
+    // Bins for some three cones, were they spread evenly, and never so large that a crowd falls into one.
     let size = (high - low).max(DVec2::splat(LEAST_DISTANCE_UM));
-    let grid = Grid::new(&table.at, (3.0 * size.x * size.y / n as f64).sqrt());
+    let grid = Grid::new(&table.at, (3.0 * size.x * size.y / n as f64).sqrt().min(LARGEST_BIN_UM));
     let mut near = Vec::with_capacity(n);
     let mut mean = Vec::with_capacity(n);
     let mut reach = 2.0 * (size.x * size.y / n as f64).sqrt();
@@ -132,7 +143,7 @@ fn nearest(cones: &Relaxed, grid: &Grid, i: usize, reach: &mut f64, largest: f64
 /// Marks cones with a neighbour closer than D = 0.6.
 fn mark_close(cones: &Relaxed, close: &mut [bool]) {
     let size = cones.spacing.iter().copied().fold(LEAST_DISTANCE_UM, f64::max);
-    let grid = Grid::new(&cones.at, size);
+    let grid = Grid::new(&cones.at, size.min(LARGEST_BIN_UM));
     for (i, (&at, metric)) in cones.at.iter().zip(&cones.metric).enumerate() {
         let least = CLOSE * cones.spacing[i];
         grid.near(at, least / metric.shortest(), |j| {

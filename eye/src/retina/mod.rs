@@ -38,7 +38,7 @@ pub use census::Census;
 pub use density::Density;
 pub use force::{K1, K2, K3, K3_LIMIT, NEIGHBOUR, RADIUS_FACTOR, normalized_distance, spline};
 pub use graph::NeighbourGraph;
-pub use import::import;
+pub use import::{check_mosaic, import};
 pub use index::ConeIndex;
 pub use local::{Frame, Local, Metric, local};
 pub use mosaic::{ConeType, Cones, Counts, Retina, RetinaTile};

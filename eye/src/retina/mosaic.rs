@@ -244,6 +244,13 @@ impl Retina {
         Self { region: *region, params: params.clone(), cones }
     }
 
+    /// The cones of a part of it, in the same order; the counts stay those of the whole.
+    #[must_use]
+    pub fn within(&self, region: &RegionUm) -> Self {
+        let cones = Cones { counts: self.cones.counts, ..self.part(region) };
+        Self { region: *region, params: self.params.clone(), cones }
+    }
+
     /// The cones in a rectangle, in order; without counts, which are of the whole.
     pub(super) fn part(&self, rectangle: &RegionUm) -> Cones {
         let mut part = Cones::default();

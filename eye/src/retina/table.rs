@@ -13,8 +13,9 @@ use super::relax::quantized;
 
 /// Most rows of a table.
 pub const MAX_ROWS: usize = 2_000_000;
-/// Two cones are at least this far apart, µm of the chart.
-pub const LEAST_DISTANCE_UM: f64 = 0.2;
+/// Two cones are at least this far apart, µm of the chart: the narrowest inner segments are 1.4 µm wide. It also bounds the time that a
+/// hostile table takes.
+pub const LEAST_DISTANCE_UM: f64 = 1.0;
 /// The columns needed.
 const COLUMNS: [&str; 3] = ["x_um", "y_um", "type"];
 

@@ -89,7 +89,7 @@ fn stiles_crawford(spec: Option<&v1::StilesCrawford>) -> Result<(f64, f64), Fiel
 
 fn retina(spec: Option<&v1::Retina>) -> Result<Retina, FieldError> {
     use v1::retina::{CellWalls as W, Density as D, Generator as G};
-    let spec = spec.copied().unwrap_or_default();
+    let spec = spec.cloned().unwrap_or_default();
     let default = Retina::default();
     let region_deg = match spec.region_deg {
         None => None,
@@ -128,7 +128,28 @@ fn retina(spec: Option<&v1::Retina>) -> Result<Retina, FieldError> {
             .map(|d| Dropout { fraction: number(d.fraction, 0.0), seed: d.seed.unwrap_or(1) }),
         optic_disc: spec.optic_disc.unwrap_or(default.optic_disc),
         region_deg,
+        mosaic: mosaic(spec.mosaic)?,
     })
+}
+
+/// Digest of the table of a measured mosaic.
+fn mosaic(spec: Option<v1::Mosaic>) -> Result<Option<String>, FieldError> {
+    use v1::mosaic::Kind as K;
+    match spec.map(|spec| spec.kind) {
+        None => Ok(None),
+        Some(None) => Err(read::empty_choice("retina.mosaic", &["file", "blob"])),
+        Some(Some(K::File(_))) => Err(FieldError::new(
+            "retina.mosaic.file",
+            "the server reads no files: upload the table (PUT /v1/blobs) and send its digest as `blob`",
+        )),
+        Some(Some(K::Blob(blob))) => {
+            let wrong = |error: photoneye_store::digest::NotADigest| {
+                FieldError::new("retina.mosaic.blob", error.to_string())
+            };
+            let digest: photoneye_store::BlobDigest = blob.parse().map_err(wrong)?;
+            Ok(Some(digest.to_string()))
+        }
+    }
 }
 
 /// Shares that sum to 1.
