@@ -1,8 +1,12 @@
 //! `study`: what the model does and what it costs, measured here and now: tables (CSV), charts (PNG) and one page (index.html) a topic.
 
 mod clock;
+mod error_time;
 mod optics;
 mod page;
+mod retina;
+mod scene;
+mod stability;
 
 use super::Context;
 use crate::cli_study::{StudyArgs, StudyTopic};
@@ -38,12 +42,22 @@ pub fn run(context: &Context, args: &StudyArgs) -> Result<(), Failure> {
     std::fs::create_dir_all(&args.out).map_err(|e| Failure::file("make", &args.out, &e))?;
     let mut task = Task { quick: args.quick, progress: Progress::new(context.json) };
     let mut page = Page::default();
+    let mut verdict = Ok(());
     let outcome = match args.topic {
         StudyTopic::Optics => optics::study(&mut task, &mut page),
-        StudyTopic::Retina | StudyTopic::ErrorVsTime | StudyTopic::Stability => Ok(()),
+        StudyTopic::Retina => retina::study(&mut task, &mut page),
+        StudyTopic::ErrorVsTime => error_time::study(&mut task, args, &mut page),
+        StudyTopic::Stability => {
+            let (failed, all) = stability::study(&mut task, &mut page);
+            if failed > 0 {
+                verdict = Err(Failure::failed(format!("stability: {failed} of {all} cases failed")));
+            }
+            Ok(())
+        }
     };
     task.progress.finish();
     outcome?;
     page.write(&args.out)?;
-    page.tell(context, &args.out)
+    page.tell(context, &args.out)?;
+    verdict
 }

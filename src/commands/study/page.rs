@@ -223,7 +223,7 @@ impl Page {
             env!("CARGO_PKG_VERSION")
         );
         for block in &self.blocks {
-            out += &match block {
+            let part = match block {
                 Block::Heading(text) => format!("<h2>{}</h2>\n", escaped(text)),
                 Block::Text(text) => format!("<p>{}</p>\n", escaped(text)),
                 Block::Table(table) if table.long => {
@@ -235,6 +235,7 @@ impl Page {
                     escaped(caption)
                 ),
             };
+            out += &part;
         }
         out + "</html>\n"
     }

@@ -35,9 +35,9 @@ pub fn study(task: &Task, page: &mut Page) -> Result<(), Failure> {
     );
     let mut ratios = Vec::new();
     let mut hole = (f64::INFINITY, 0.0);
-    let (most, steps) = task.pick((1.0, 40), (1.0, 20));
+    let steps = task.pick(40, 20);
     for k in 0..=steps {
-        let vergence = most * f64::from(k) / f64::from(steps);
+        let vergence = f64::from(k) / f64::from(steps);
         let (values, energy) = spread(vergence)?;
         let (middle, ring, radius) = profile(&values);
         if k % (steps / 20) == 0 {
