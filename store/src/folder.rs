@@ -271,7 +271,7 @@ mod tests {
     #[test]
     fn a_map_outlives_its_file() {
         let (_folder, store) = store();
-        let digest = store.put(&[9; 100_000]).unwrap();
+        let digest = store.put(&vec![9; 100_000]).unwrap();
         let map = store.map(&digest).unwrap();
         fs::remove_file(store.path(&digest)).unwrap();
         assert!(matches!(store.map(&digest), Err(StoreError::Missing(_))));

@@ -28,6 +28,7 @@ mod receptive_field;
 mod relax;
 mod ring;
 mod statistics;
+mod stiffness;
 mod synthesize;
 mod table;
 mod tile;
@@ -48,6 +49,7 @@ pub use params::{
 };
 pub use receptive_field::{FieldRow, ReceptiveField, Role};
 pub use statistics::{BANDS_DEG, Band, SECTORS, Sector, Statistics, statistics, statistics_in_bands};
+pub use stiffness::last_step_rms;
 pub use synthesize::synthesize;
 pub use table::{ImportError, LEAST_DISTANCE_UM, MAX_ROWS};
 pub use tile::{RegionUm, TILE_UM, TileId, build_region, build_tile, tiles_for};

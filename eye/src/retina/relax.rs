@@ -77,6 +77,8 @@ pub(super) struct Relaxed {
     pub(super) coincident: Vec<u8>,
     /// Places of the cones that were removed, one of each degenerate pair.
     pub(super) removed: Vec<DVec2>,
+    /// Last steps of the cones: sum of squares in radii, and how many.
+    pub(super) last_steps: (f64, f64),
 }
 
 impl Relaxed {
@@ -88,6 +90,11 @@ impl Relaxed {
 
 /// Places the cones of `tile` and its halo and relaxes them; `factor` widens the halo.
 pub(super) fn relax(field: &Field, tile: &RegionUm, exact_rows: f64, factor: f64) -> Relaxed {
+    relax_with(field, tile, exact_rows, factor, K3)
+}
+
+/// As [`relax`] with another K3: to see the iteration grow unstable.
+pub(super) fn relax_with(field: &Field, tile: &RegionUm, exact_rows: f64, factor: f64, k3: f64) -> Relaxed {
     // Most sub-cycles are at the tile's point nearest to the fovea, the largest spread of radii at the farthest.
     let texture = field.texture(tile.nearest(DVec2::ZERO));
     let spread_max = field.texture(DVec2::new(tile.farthest_from_origin(), 0.0)).radius_spread;
@@ -113,7 +120,8 @@ pub(super) fn relax(field: &Field, tile: &RegionUm, exact_rows: f64, factor: f64
             let left = 1.0 - f64::from(cycle + 1) / f64::from(body.cycles);
             frames[i].chart_from_plane(kicks[word as usize % KICKS]) * (K2 * left * size)
         };
-        step(&mut cones, &mut bodies, cycle, needed, &sums, kick);
+        let force = |i: usize, body: &Body| k3 * sums[i].force + kick(i, body);
+        step(&mut cones, &mut bodies, cycle, needed, &sums, force);
         if (first / 2..=last / 2).contains(&cycle) {
             let is_due = |p: &Body, n: &Body| p.cycles.min(n.cycles) / 2 == cycle;
             part_degenerate_pairs(&mut cones, &mut bodies, &mut pairs, is_due);
@@ -442,7 +450,7 @@ fn step(
     cycle: u32,
     needed: f64,
     sums: &[Sum],
-    kick: impl Fn(usize, &Body) -> DVec2,
+    force: impl Fn(usize, &Body) -> DVec2,
 ) {
     for (i, body) in bodies.iter_mut().enumerate() {
         if cycle >= body.cycles || !body.exact || body.gone {
@@ -452,9 +460,40 @@ fn step(
             body.exact = false;
             continue;
         }
-        let wanted = body.radius * (K3 * sums[i].force + kick(i, body));
+        let wanted = body.radius * force(i, body);
         let (moved, cut) = limited(wanted, body.metric.length2(wanted), body.radius);
         body.at += moved;
         cones.limited[i] += u8::from(cut);
+        if cycle + 1 == body.cycles {
+            let (sum, count) = cones.last_steps;
+            cones.last_steps = (sum + (moved.length() / body.radius).powi(2), count + 1.0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::retina::RetinaParams;
+
+    /// Two cones in one place part in opposite directions that depend on their streams alone, and are counted.
+    #[test]
+    fn coincident_cones_part() {
+        let p = RetinaParams::default();
+        let field = Field::new(&p);
+        let tile = RegionUm { min: DVec2::splat(50.0), max: DVec2::splat(55.0) };
+        let (mut cones, mut bodies) = born(&field, &tile, 4.0);
+        bodies.truncate(2);
+        bodies[1].at = bodies[0].at;
+        for body in &mut bodies {
+            body.exact = true;
+        }
+        let mut pairs = Pairs::default();
+        pairs.list(&cones, &bodies);
+        let mut sums = vec![Sum::default(); 2];
+        sum_forces(&mut cones, &bodies, &pairs, &mut sums);
+        let size = sums[0].force.length();
+        assert!(sums[0].force == -sums[1].force && size > 0.5 && size < 2.0, "{size}");
+        assert_eq!(cones.coincident[..2].iter().sum::<u8>(), 1);
     }
 }

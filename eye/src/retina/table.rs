@@ -223,7 +223,7 @@ mod tests {
             (format!("{head}1,2"), vec!["line 2", "\"type\"", "\"\"", "L, M or S"]),
             (format!("{head}1,2,3"), vec!["\"type\"", "\"3\""]),
             (format!("{head}26000,0,L"), vec!["line 2", "(26000, 0)", "outside the retina", "ora"]),
-            (format!("{head}1,2,L\n9,9,L\n1.1,2.1,M"), vec!["line 4", "0.141", "line 2", "0.2"]),
+            (format!("{head}1,2,L\n9,9,L\n1.1,2.1,M"), vec!["line 4", "0.141", "line 2", "1 µm"]),
         ] {
             let found = message(&text);
             assert!(words.iter().all(|w| found.contains(w)), "{text:?}: {found}");

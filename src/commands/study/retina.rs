@@ -1,11 +1,11 @@
 //! `study retina`: what a mosaic costs from a thousand cones to the whole retina (§15), by both generators.
 //!
-//! A square about the foveal centre is asked for that holds about the wanted number; whole tiles and their halos are built, so small
-//! patches pay for cones that nobody asked for: both numbers are told.
+//! A square about the foveal centre is asked for that holds about the wanted number: up to `WHOLE` cones as one region in memory, beyond
+//! that tile by tile as they come, of which only a few are held. The halo that is built around a region makes small ones dear.
 
 use glam::DVec2;
 use photoneye_eye::plan::setup::setup;
-use photoneye_eye::retina::{Density, Generator, RegionUm, RetinaParams, synthesize};
+use photoneye_eye::retina::{Cones, Density, Generator, RegionUm, RetinaParams, build_region, synthesize};
 
 use super::Task;
 use super::clock::{Stopwatch, kind, peak_bytes, reset_peak};
@@ -15,12 +15,15 @@ use crate::chart::{Axis, Chart, PALETTE, Series, Style, page as chart_page};
 use crate::failure::Failure;
 use crate::row;
 
+/// Most cones that are made as one region.
+const WHOLE: f64 = 4e5;
+
 /// Fills the page.
 pub fn study(task: &mut Task, page: &mut Page) -> Result<(), Failure> {
     page.begin(
         "What a mosaic costs",
         "Squares about the foveal centre, up to the whole retina; default parameters. CPU seconds of all threads with cells, types and \
-         pointing; memory is the largest of the process while it grew (its programs and tables included).",
+         pointing; up to 400,000 cones are one region in memory, more come tile by tile. Memory is the largest of the process while it grew (its programs and tables included).",
     );
     let params =
         setup(&experiment(&standard(8, 2)).map_err(Failure::failed)?).map_err(Failure::failed)?.retina;
@@ -48,7 +51,7 @@ pub fn study(task: &mut Task, page: &mut Page) -> Result<(), Failure> {
         for wanted in sizes {
             let half = half_side_um(&params, *wanted);
             task.say(&format!("{name}: a square of {:.2} mm", half / 500.0));
-            let made = Made::new(&params, half)?;
+            let made = Made::new(&params, half, *wanted)?;
             table.push(row![
                 name,
                 made.cones,
@@ -81,16 +84,20 @@ struct Made {
 }
 
 impl Made {
-    fn new(params: &RetinaParams, half: f64) -> Result<Self, Failure> {
+    fn new(params: &RetinaParams, half: f64, wanted: f64) -> Result<Self, Failure> {
         let region = RegionUm { min: DVec2::splat(-half), max: DVec2::splat(half) };
         reset_peak();
         let (watch, wall) = (Stopwatch::start(), std::time::Instant::now());
         let mut cones = 0.0;
-        let count = |_: &RegionUm, cones: photoneye_eye::retina::Cones| {
-            let places = cones.x_um.iter().zip(&cones.y_um);
-            places.filter(|(x, y)| region.contains(DVec2::new(**x, **y))).count() as f64
-        };
-        synthesize(params, &region, count, |part| cones += part).map_err(Failure::failed)?;
+        if wanted <= WHOLE {
+            cones = build_region(params, &region).map_err(Failure::failed)?.len() as f64;
+        } else {
+            let count = |_: &RegionUm, cones: Cones| {
+                let places = cones.x_um.iter().zip(&cones.y_um);
+                places.filter(|(x, y)| region.contains(DVec2::new(**x, **y))).count() as f64
+            };
+            synthesize(params, &region, count, |part| cones += part).map_err(Failure::failed)?;
+        }
         Ok(Self { cones, seconds: watch.seconds(), wall_s: wall.elapsed().as_secs_f64(), peak: peak_bytes() })
     }
 }

@@ -169,7 +169,7 @@ fn judge(task: &mut Task, scene: &Scene) -> Result<(Vec<Point>, usize), Failure>
         (e.counts.engine, e.counts.poisson, e.counts.paper) = (Engine::Paper, true, paper);
         // Photon by photon a bright scene takes hours.
         let predicted = plan(&e).map_err(Failure::usage)?.predicted_seconds;
-        if predicted < task.pick(60.0, 8.0) {
+        if predicted < task.pick(60.0, 30.0) {
             add(PAPER, setting.to_owned(), &run(&e)?)?;
         } else {
             task.say(&format!("{}: engine PAPER left out, it would take {predicted:.0} s", scene.name));

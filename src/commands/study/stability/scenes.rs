@@ -63,7 +63,8 @@ fn right() -> Vec<(&'static str, Vec<(&'static str, Value)>)> {
             "drift 1000°/s, 10 kHz",
             vec![("gaze.movement", drift(60_000.0)), ("display.frame_rate_hz", json!(1e4))],
         ),
-        ("a patch of 0.0004°: one cone or none", vec![("retina.region_deg", square(0.0002))]),
+        ("a patch of 0.0004°: a cone or none", vec![("retina.region_deg", square(0.0002))]),
+        ("a patch of 0.01°: about one cone", vec![("retina.region_deg", square(0.005))]),
         ("peak density 98,200", vec![("retina.peak_density_per_mm2", json!(98_200))]),
         ("peak density 324,100", vec![("retina.peak_density_per_mm2", json!(324_100))]),
         ("seeds 0", vec![("retina.seed", json!(0)), ("counts.seed", json!(0))]),
@@ -159,7 +160,7 @@ fn whole(outcome: &Outcome) -> Found {
         "wrong means + photons without a fate; {} cones, {:.3e} emitted, {:.3e} counted",
         outcome.counts.len(),
         budget.emitted,
-        outcome.counts.iter().sum::<f64>()
+        outcome.counts.iter().fold(0.0, |sum, c| sum + c)
     );
     Found::new(what, wrong as f64 + lost, 1e-6)
 }
