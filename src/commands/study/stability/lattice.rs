@@ -67,9 +67,10 @@ pub fn figures(page: &mut Page) {
         "Growth factor a step of small displacements in a periodic lattice of 144 cones, compressed to D = 0.95, measured and by the \
          largest eigenvalue; and how stiffness and condition depend on compression.",
     );
-    let largest = modes(SPACING).1;
+    let (smallest, largest) = modes(SPACING);
     let values: Vec<f64> = (2..=60).map(|k| 0.005 * f64::from(k)).collect();
     let measured: Vec<(f64, f64)> = values.iter().map(|k3| (*k3, growth(*k3))).collect();
+    let soft = values.iter().map(|k3| (*k3, (1.0 - k3 * smallest).abs())).collect();
     let theory = values.iter().map(|k3| (*k3, (1.0 - k3 * largest).abs())).collect();
     let mut growth = Table::new("growth", "Growth factor", &["K3", "measured", "stiffest_mode"]).long();
     for (k3, factor) in &measured {
@@ -82,6 +83,7 @@ pub fn figures(page: &mut Page) {
         series: vec![
             Series::new("measured", measured, Style::Points, PALETTE[0]),
             Series::new("stiffest mode |1 - K3·µ|", theory, Style::Line, PALETTE[1]),
+            Series::new("softest mode", soft, Style::Line, PALETTE[4]),
             Series::new(&format!("K3 in use, {K3}"), vec![(K3, 0.0), (K3, 1.5)], Style::Dashed, PALETTE[2]),
             Series::new(
                 &format!("limit, {K3_LIMIT}"),
@@ -92,7 +94,7 @@ pub fn figures(page: &mut Page) {
         ],
         bands: vec![Band::new("", 1.0, 1.0, DARK)],
     };
-    let caption = "Below 1 the lattice comes to rest, above 1 it never does.";
+    let caption = "Below 1 the lattice comes to rest, above 1 it never does. What is measured is the slowest mode: the softest below the limit, the stiffest above it.";
     page.picture("growth", caption, chart_page("", &[chart], 1));
     page.table(growth);
     let mut table = Table::new(

@@ -42,6 +42,11 @@ pub struct Cases<'a> {
 }
 
 impl Cases<'_> {
+    /// Whether long cases are left out.
+    pub fn is_quick(&self) -> bool {
+        self.task.quick
+    }
+
     /// Runs a case; an error is a failure.
     pub fn add(&mut self, group: &str, name: &str, work: impl FnOnce() -> Result<Found, String>) {
         self.task.say(&format!("{group}: {name}"));
