@@ -151,6 +151,7 @@ impl Table {
 fn shown(cell: &Cell) -> String {
     match cell {
         Cell::Text(text) => text.clone(),
+        Cell::Number(value) if value.is_nan() => "-".into(),
         Cell::Number(value) => figures(*value),
     }
 }

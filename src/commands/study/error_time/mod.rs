@@ -101,7 +101,7 @@ pub fn study(task: &mut Task, args: &StudyArgs, page: &mut Page) -> Result<(), F
     page.picture(
         "error-vs-time",
         "Each point a run. Broken line: the Pareto front, runs that no other run beats in both. Points of the engine PAPER hold the chance \
-         of single photons.",
+         of single photons; runs of it that would take minutes are left out.",
         chart_page("Error of the mean per cone against time", &charts, 3),
     );
     page.table(short);

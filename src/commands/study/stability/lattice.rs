@@ -8,7 +8,9 @@
 use std::f64::consts::TAU;
 
 use glam::DVec2;
-use photoneye_eye::retina::{K3, K3_LIMIT, LEAST_DISTANCE_UM, RetinaParams, import, spline};
+use photoneye_eye::retina::{
+    K3, K3_LIMIT, LEAST_DISTANCE_UM, RegionUm, RetinaParams, build_region, import, spline,
+};
 
 use super::super::page::{Page, Table};
 use super::{Cases, Found};
@@ -52,6 +54,13 @@ pub fn cases(cases: &mut Cases) {
         let wrong = retina.cones.aperture_um2.iter().filter(|a| !(a.is_finite() && **a >= 0.0)).count();
         Ok(Found::new("apertures that are no numbers", wrong as f64, 0.0))
     });
+    if !cases.is_quick() {
+        cases.add(GROUP, "300,000 cones as one region", || {
+            let region = RegionUm { min: DVec2::splat(-2340.0), max: DVec2::splat(2340.0) };
+            let cones = build_region(&RetinaParams::default(), &region).map_err(|e| e.to_string())?.len();
+            Ok(Found::new("|cones / 300,000 - 1|", (cones as f64 / 3e5 - 1.0).abs(), 0.05))
+        });
+    }
     cases.add(GROUP, "a measured mosaic of one cone", || {
         let retina =
             import("x_um,y_um,type\n5,5,L\n", &RetinaParams::default()).map_err(|e| e.to_string())?;

@@ -10,6 +10,7 @@ mod scenes;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::Task;
+use super::clock::Stopwatch;
 use super::page::{Page, Table};
 use crate::row;
 
@@ -50,6 +51,7 @@ impl Cases<'_> {
     /// Runs a case; an error is a failure.
     pub fn add(&mut self, group: &str, name: &str, work: impl FnOnce() -> Result<Found, String>) {
         self.task.say(&format!("{group}: {name}"));
+        let watch = Stopwatch::start();
         let found = match catch_unwind(AssertUnwindSafe(work)) {
             Ok(Ok(found)) => found,
             Ok(Err(why)) => Found::new(format!("refused: {why}"), f64::NAN, 0.0),
@@ -57,7 +59,7 @@ impl Cases<'_> {
         };
         self.failed += usize::from(!found.passes());
         let verdict = if found.passes() { "pass" } else { "FAIL" };
-        self.table.push(row![group, name, found.what, found.figure, found.limit, verdict]);
+        self.table.push(row![group, name, found.what, found.figure, found.limit, verdict, watch.seconds()]);
     }
 }
 
