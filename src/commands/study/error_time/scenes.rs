@@ -12,6 +12,7 @@ use super::Scene;
 pub fn all(quick: bool) -> Result<Vec<Scene>, String> {
     let drift = json!({"drift": {"speed_arcmin_per_s": 1200, "direction_deg": 30}});
     let luminance = |value: f64| [("display.white_luminance_cd_m2", json!(value))];
+    let line = json!([{"name": "white", "spectrum": {"line": {"nm": 555, "fwhm_nm": 0}}}]);
     let base = || standard(16, 2);
     let listed: Vec<(&str, Value)> = if quick {
         let region = json!({"x_min": -0.1, "x_max": 0.1, "y_min": -0.1, "y_max": 0.1});
@@ -32,7 +33,11 @@ pub fn all(quick: bool) -> Result<Vec<Scene>, String> {
             ("wide, 2.5°", standard(60, 4)),
             ("moving, 20 arcmin a frame", with(base(), &[("gaze.movement", drift)])),
             ("pupil 2 mm", with(base(), &[("eye.pupil_mm", json!(2))])),
-            ("pupil 6 mm", with(base(), &[("eye.pupil_mm", json!(6))])),
+            // The optics of a wide pupil take minutes for a whole spectrum.
+            (
+                "pupil 6 mm, one line at 555 nm",
+                with(base(), &[("eye.pupil_mm", json!(6)), ("display.primaries", line)]),
+            ),
             (
                 "one lit pixel",
                 with(
