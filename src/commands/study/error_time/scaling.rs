@@ -73,19 +73,7 @@ pub fn study(task: &mut Task, page: &mut Page) -> Result<(), Failure> {
                 }
             }
         }
-        let names = ["mosaic", "optics, preparation", "frames", "frames, engine PAPER"];
-        charts.push(Chart {
-            title: format!("Growth with {}", quantity.name),
-            x: Axis::log(quantity.axis),
-            y: Axis::log(kind()),
-            series: curves
-                .into_iter()
-                .enumerate()
-                .filter(|(_, points)| !points.is_empty())
-                .map(|(k, points)| Series::new(names[k], points, Style::Both, PALETTE[k]))
-                .collect(),
-            bands: Vec::new(),
-        });
+        charts.push(chart(&quantity, curves));
     }
     page.picture(
         "scaling",
@@ -95,6 +83,23 @@ pub fn study(task: &mut Task, page: &mut Page) -> Result<(), Failure> {
     );
     page.table(table);
     Ok(())
+}
+
+/// One panel: seconds of each stage.
+fn chart(quantity: &Quantity, curves: Vec<Vec<(f64, f64)>>) -> Chart {
+    let names = ["mosaic", "optics, preparation", "frames", "frames, engine PAPER"];
+    Chart {
+        title: format!("Growth with {}", quantity.name),
+        x: Axis::log(quantity.axis),
+        y: Axis::log(kind()),
+        series: curves
+            .into_iter()
+            .enumerate()
+            .filter(|(_, points)| !points.is_empty())
+            .map(|(k, points)| Series::new(names[k], points, Style::Both, PALETTE[k]))
+            .collect(),
+        bands: Vec::new(),
+    }
 }
 
 fn quantities(task: &Task) -> Vec<Quantity> {
