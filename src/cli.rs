@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand};
 
 use crate::cli_optics::{PsfArgs, RetinaArgs, TraceArgs};
+use crate::cli_study::StudyArgs;
 
 /// Photon-accurate simulation of the human eye looking at a display.
 ///
@@ -58,6 +59,8 @@ pub enum Command {
     Psf(PsfArgs),
     /// Trace given rays through the unaccommodated eye
     Trace(TraceArgs),
+    /// Measure what the model does and what it costs; leaves tables, charts and a page
+    Study(StudyArgs),
 }
 
 /// An experiment file with changes.

@@ -147,9 +147,24 @@ pub struct PsfArgs {
     /// Half of the side; samples lie at (i + 0.5 - N/2)·2·half-width/N about the chief ray of the same wavelength
     #[arg(long, default_value_t = 10.0)]
     pub half_width_um: f64,
-    /// The fitted wavefront as a matrix product, or Huygens' sum over traced rays
+    /// How it is computed
     #[arg(long, value_enum, default_value_t = MethodName::Fit)]
     pub method: MethodName,
+    /// Rays of the sampled methods (fft: samples of the pupil); the paper has 1024
+    #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u32).range(4..=1_000_000))]
+    pub rays: u32,
+    /// Seed of random rays
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Take the nearest wavelength on this grid from 390 nm, as the paper does with 10
+    #[arg(long, value_name = "NM")]
+    pub wavelength_step_nm: Option<f64>,
+    /// Take the point spread of the nearest place on this grid from the fovea, as the paper does with 300 (287 µm a degree)
+    #[arg(long, value_name = "UM")]
+    pub node_um: Option<f64>,
+    /// Scale so that the window holds all the light, as the paper does
+    #[arg(long)]
+    pub whole_window: bool,
     /// Compute so many times and print seconds per point spread
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub repeat: u32,
@@ -170,10 +185,20 @@ pub enum AmplitudeName {
 /// How a point spread is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum MethodName {
-    /// Huygens' sum with exact distances, slow.
+    /// Huygens' sum with exact distances over as many Gauss rays as it takes, slow.
     Huygens,
     /// Polynomial wavefront, matrix product.
     Fit,
+    /// Rays at independent random places of the pupil.
+    Random,
+    /// One ray anywhere in each of so many cells of the pupil.
+    Stratified,
+    /// Rays on a square lattice of the pupil.
+    Grid,
+    /// Rays at Gauss nodes of the pupil.
+    Gauss,
+    /// Fourier transform of the pupil function of the polynomial wavefront.
+    Fft,
 }
 
 /// `trace`. The dispersion law asked for holds where the file does not say.

@@ -7,6 +7,7 @@ use bytes::Bytes;
 use photoneye_client::Client;
 use photoneye_eye::video::{Limits, png_size};
 use photoneye_proto::{experiment_from_json, v1};
+use photoneye_store::BlobDigest;
 use serde_json::Value;
 
 use crate::failure::{Failure, plain};
@@ -86,6 +87,18 @@ impl ExperimentFile {
         self.experiment.video =
             Some(v1::Video { kind: Some(v1::video::Kind::Clip(v1::video::Clip { blobs })) });
         Ok(())
+    }
+
+    /// Names the pictures by digest without uploading them and gives their bytes, for work without a server. A measured mosaic stays
+    /// a file.
+    pub fn keep(&mut self) -> Vec<Bytes> {
+        let pictures: Vec<Bytes> = self.pictures.iter().map(|picture| picture.bytes.clone()).collect();
+        if !pictures.is_empty() {
+            let blobs = pictures.iter().map(|bytes| BlobDigest::of(bytes).to_string()).collect();
+            self.experiment.video =
+                Some(v1::Video { kind: Some(v1::video::Kind::Clip(v1::video::Clip { blobs })) });
+        }
+        pictures
     }
 
     /// Says which file is meant where the server names an upload.

@@ -3,6 +3,7 @@
 mod chart;
 mod cli;
 mod cli_optics;
+mod cli_study;
 mod commands;
 mod counts_file;
 mod experiment_file;

@@ -10,6 +10,7 @@ mod results;
 mod retina;
 mod run;
 mod serve;
+mod study;
 mod submit;
 mod trace;
 mod watch;
@@ -51,6 +52,7 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Eyes => eyes::run(&context),
         Command::Psf(args) => psf::run(&context, &args),
         Command::Trace(args) => trace::run(&context, &args),
+        Command::Study(args) => study::run(&context, &args),
     }
 }
 

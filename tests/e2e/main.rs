@@ -7,4 +7,5 @@ mod optics;
 mod rest;
 mod retina;
 mod run;
+mod study;
 mod support;

@@ -4,6 +4,9 @@ use crate::display::Emitter;
 use crate::experiment::Experiment;
 use crate::exposure::spectral::{Absorbers, KINDS, Kind, Paths, wavelength_nodes};
 
+/// The wavelength of a display that has none, nm.
+const DARK_NM: f64 = 555.0;
+
 /// Wavelength nodes and what was left out.
 #[derive(Clone, Debug)]
 pub struct Wavelengths {
@@ -64,6 +67,10 @@ pub fn choose(
     let to = catches.len()
         - cut(&mut catches.iter().rev().map(|c| c.1)).min(catches.len().saturating_sub(from + 1));
     let outside = catches[..from].iter().chain(&catches[to..]).map(|c| c.1).sum();
-    let lit = catches[from.min(to)..to].iter().map(|c| c.0).collect();
+    let mut lit: Vec<f64> = catches[from.min(to)..to].iter().map(|c| c.0).collect();
+    // A display without light has no share anywhere: one wavelength, so that there are kernels to multiply it with.
+    if lit.is_empty() {
+        lit.push(catches.get(catches.len() / 2).map_or(DARK_NM, |c| c.0));
+    }
     Wavelengths { nodes_nm: wavelength_nodes(lit, step_nm), outside, step_nm }
 }
