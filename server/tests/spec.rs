@@ -68,7 +68,7 @@ fn frames_follow_the_pictures() {
     let blob = photoneye_store::BlobDigest::of(b"").to_string();
     let read = read(&with("video", json!({"clip": {"blobs": [blob, blob]}}))).unwrap();
     assert_eq!(read.frames, 2);
-    assert!(matches!(read.video, Video::Clip(blobs) if blobs.len() == 2));
+    assert!(matches!(read.video, Video::Clip(clip) if clip.blobs.len() == 2));
 }
 
 #[test]

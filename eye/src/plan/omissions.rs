@@ -3,7 +3,7 @@
 use super::Omission;
 use super::setup::Setup;
 use super::wavelengths::Wavelengths;
-use crate::experiment::{Experiment, Movement};
+use crate::experiment::Experiment;
 use crate::media::MACULA_EDGE_DEG;
 
 /// Energy of a diffraction-limited spread beyond a radius R is about λ/(π² NA R); λ in the vitreous over NA, µm, at 3 mm.
@@ -52,11 +52,7 @@ pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -
             0.15 * experiment.accuracy_target,
         ));
     }
-    let still = match experiment.gaze.movement {
-        Movement::Still => true,
-        Movement::Drift { speed_arcmin_per_s, .. } => speed_arcmin_per_s <= 0.0,
-    };
-    if still {
+    if setup.gaze.is_still() {
         list.push(omission("motion blur", "the eye does not move", 0.0));
     }
     let nearest = glam::DVec2::ZERO.clamp(setup.region.min, setup.region.max).length();

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 use photoneye_eye::artifact::Input;
 use photoneye_eye::digest::Digest;
-use photoneye_eye::display::{Channel, Display, EmissionLaw, Primary, Transfer, White};
+use photoneye_eye::display::{Channel, Display, EmissionLaw, Panel, Primary, Transfer, Waveform, White};
 use photoneye_eye::experiment::{
     Counts, Engine, Experiment, Eye, Gaze, Movement, PaperSettings, Pattern, Retina, Video,
 };
@@ -28,7 +28,8 @@ pub fn primary(channel: Channel, spectrum: Spectrum) -> Primary {
         power: 1.0,
         rects: vec![[edge, edge, 1.0 - edge, 1.0 - edge]],
         offset_px: [0.0; 2],
-        lit: [0.0, 1.0],
+        spot_sd_px: 0.0,
+        waveform: Waveform::Steady,
     }
 }
 
@@ -58,6 +59,8 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             white: White::LuminanceCdM2(250.0),
             frame_rate_hz: 60.0,
             transfer: Transfer::Srgb,
+            black: 0.0,
+            panel: Panel::default(),
             emission_law: EmissionLaw::Lambertian,
             primaries: vec![
                 primary(Channel::Red, named("projector-uhp/red")),
@@ -67,8 +70,8 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
         },
         video: Video::Pattern(pattern),
         gaze: Gaze {
-            center_px: [15.0, 15.0],
             movement: Movement::Drift { speed_arcmin_per_s: 6.0, direction_deg: 30.0 },
+            ..Gaze::still([15.0, 15.0])
         },
         counts: Counts {
             engine: Engine::Expected,
