@@ -51,7 +51,11 @@ pub fn draw(folder: &Path, args: PictureArgs) -> Result<usize, Failure> {
     Ok(drawn)
 }
 
-fn read_cones(path: &Path) -> Result<ConeColumns, Failure> {
+/// The cones of a result.
+///
+/// # Errors
+/// When the file is missing or damaged.
+pub fn read_cones(path: &Path) -> Result<ConeColumns, Failure> {
     let bytes = fs::read(path).map_err(|e| Failure::usage(format!("{}: {}", path.display(), plain(&e))))?;
     read_cones_file(&bytes).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))
 }

@@ -4,18 +4,12 @@
 
 mod support;
 
-use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
-
-use photoneye_eye::digest::Digest;
-use photoneye_eye::display::{Channel, Levels, Panel, Waveform, White, emitters, pupil_share};
+use photoneye_eye::display::{Channel, Display, EmissionLaw, Levels, Panel, Waveform, White, emitters};
 use photoneye_eye::experiment::{Experiment, Gaze, Movement, Pattern};
-use photoneye_eye::exposure::{Exposure, FrameCounts, cone_columns};
-use photoneye_eye::plan::plan;
-use photoneye_eye::retina::Retina;
+use photoneye_eye::exposure::{FrameCounts, cone_columns};
 use photoneye_eye::spectrum::Spectrum;
 use photoneye_eye::video::{Picture, draw};
-use support::{WHITE, figure_12, primary};
+use support::{WHITE, cached_exposure as exposure, cached_retina as retina, figure_12, primary};
 
 /// One line of light, few pixels, means: a test takes little time.
 fn small(pattern: Pattern) -> Experiment {
@@ -30,29 +24,6 @@ fn small(pattern: Pattern) -> Experiment {
 
 fn means(experiment: &Experiment, index: u32) -> Vec<f64> {
     means_of(experiment, index, None, &[])
-}
-
-/// Artifacts that were built once: waveforms, panels and brightness need no new ones.
-static BUILT: Mutex<BTreeMap<Digest, Vec<u8>>> = Mutex::new(BTreeMap::new());
-
-fn exposure(experiment: &Experiment) -> Exposure {
-    let plan = plan(experiment).unwrap();
-    let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
-    for artifact in &plan.artifacts {
-        if !built.contains_key(&artifact.key) {
-            let inputs: Vec<_> = artifact.inputs.iter().map(|key| (*key, built[key].as_slice())).collect();
-            let bytes = artifact.spec.build(&inputs).unwrap().bytes;
-            built.insert(artifact.key, bytes);
-        }
-    }
-    let artifacts: Vec<&Vec<u8>> = plan.tile_artifacts[0].iter().map(|key| &built[key]).collect();
-    Exposure::new(experiment, &artifacts).unwrap()
-}
-
-fn retina(experiment: &Experiment) -> Retina {
-    let key = plan(experiment).unwrap().tile_artifacts[0][0];
-    exposure(experiment);
-    Retina::from_bytes(&BUILT.lock().unwrap()[&key]).unwrap()
 }
 
 fn means_of(
@@ -211,33 +182,56 @@ fn a_spot_adds_its_variance() {
     assert!((grown / 0.36 - 1.0).abs() < 0.05, "{grown}");
 }
 
-/// The light that a flat screen sends into the pupil, against an integral over the pupil by rays: from the middle to 60°.
+/// Photons into the pupil from one pixel of a large flat screen, against an integral over the pupil by rays. The pupil faces along the
+/// optical axis, 5° to the right of a right eye's line of sight.
 #[test]
 fn flat_screens_are_seen_by_ray_geometry() {
-    let display = small(WHITE).display;
-    let radius_cm = 0.15;
-    let distance = display.distance_cm + 0.304;
-    let by_rays = |x: f64| {
-        // Lambertian patch at (x, 0, distance) with its normal towards the eye; pupil at the origin facing the screen.
-        let n = 60;
-        let mut sum = 0.0;
-        for i in 0..n {
-            for j in 0..n {
-                let r = radius_cm * ((f64::from(i) + 0.5) / f64::from(n)).sqrt();
-                let angle = std::f64::consts::TAU * (f64::from(j) + 0.5) / f64::from(n);
-                let to = [r * angle.cos() - x, r * angle.sin(), -distance];
-                let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();
-                let cos = distance / length;
-                sum += cos * cos / (std::f64::consts::PI * length * length);
-            }
-        }
-        sum / f64::from(n * n) * std::f64::consts::PI * radius_cm * radius_cm
+    let pupil = |at_px: [u32; 2], emission_law: EmissionLaw| {
+        let mut experiment = small(Pattern::Point { at_px, rgb: [1.0; 3] });
+        experiment.display = Display {
+            width_px: 401,
+            height_px: 401,
+            pixel_pitch_cm: 1.0,
+            distance_cm: 100.0,
+            emission_law,
+            ..experiment.display
+        };
+        experiment.gaze = Gaze::still([200.5; 2]);
+        experiment.retina.region_deg = Some([-0.1, 0.1, -0.1, 0.1]);
+        let budget = exposure(&experiment).frame(0, None).unwrap().budget;
+        budget.into_pupil() / budget.emitted
     };
-    let axis = pupil_share(&display, 3.0);
-    assert!((by_rays(0.0) / axis - 1.0).abs() < 1e-6);
-    for deg in [10.0_f64, 30.0, 60.0] {
-        let cos = deg.to_radians().cos();
-        assert!((by_rays(distance * deg.to_radians().tan()) / axis / cos.powi(4) - 1.0).abs() < 1e-6);
+    let by_rays = |[x, y]: [f64; 2], law: EmissionLaw| {
+        let (sin, cos) = 5_f64.to_radians().sin_cos();
+        // Viewer's axes: x right, y up, z to the screen. Pupil axes: across, up, along the optical axis.
+        let (across, along) = ([cos, 0.0, -sin], [sin, 0.0, cos]);
+        let n = 40;
+        let mut sum = 0.0;
+        for i in 0..n * n {
+            let r = 0.15 * ((f64::from(i / n) + 0.5) / f64::from(n)).sqrt();
+            let turn = std::f64::consts::TAU * (f64::from(i % n) + 0.5) / f64::from(n);
+            let point: [f64; 3] = std::array::from_fn(|k| {
+                r * turn.cos() * across[k] + if k == 1 { r * turn.sin() } else { 0.0 }
+            });
+            let ray = [x - point[0], y - point[1], 100.304 - point[2]];
+            let length = ray.iter().map(|v| v * v).sum::<f64>().sqrt();
+            let on_pupil = ray.iter().zip(along).map(|(a, b)| a * b).sum::<f64>() / length;
+            let radiated = match law {
+                EmissionLaw::Lambertian => ray[2] / length / std::f64::consts::PI,
+                EmissionLaw::Uniform => 1.0 / std::f64::consts::TAU,
+            };
+            sum += radiated * on_pupil / (length * length);
+        }
+        sum / f64::from(n * n) * std::f64::consts::PI * 0.15 * 0.15
+    };
+    for law in [EmissionLaw::Lambertian, EmissionLaw::Uniform] {
+        // The middle is exact by definition: the pupil's area is that seen along the line of sight.
+        let (middle, rays) = (pupil([200, 200], law), by_rays([0.0, 0.0], law));
+        for at_px in [[400, 200], [0, 200], [200, 0], [300, 100], [150, 390]] {
+            let at = [f64::from(at_px[0]) - 200.0, 200.0 - f64::from(at_px[1])];
+            let (share, expected) = (pupil(at_px, law) / middle, by_rays(at, law) / rays);
+            assert!((share / expected - 1.0).abs() < 0.01, "{at_px:?} {law:?} {share} {expected}");
+        }
     }
 }
 

@@ -7,3 +7,4 @@ mod optics;
 mod rest;
 mod run;
 mod support;
+mod video;

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 pub use emitter::{Emitter, PhotonSample, emitters, photon_shares, pupil_share, pupil_share_at};
 pub use panel::{Levels, Panel, Place, step, stepped};
-pub use waveform::{MAX_HISTORY, Part, Timing, Waveform, light_until};
+pub use waveform::{FORGOTTEN, MAX_HISTORY, Part, Timing, Waveform, light_until};
 
 use crate::experiment::{RangeError, check_range};
 use crate::spectrum::Spectrum;
@@ -159,7 +159,9 @@ impl Display {
         for (k, primary) in self.primaries.iter().enumerate() {
             primary.validate(&format!("display.primaries[{k}]"), self.frame_rate_hz)?;
         }
-        check_range("display.contrast", 1.0 / self.black.max(1e-9), 1.0, 1e9)?;
+        if !(0.0..=1.0).contains(&self.black) {
+            return Err(RangeError::new("display.contrast", 1.0 / self.black, "1 to 1e9"));
+        }
         self.panel.validate()?;
         self.validate_time()
     }

@@ -17,7 +17,7 @@ const MAX_PULSES: usize = 64;
 /// Most PWM periods in a frame.
 const MAX_PWM: f64 = 1000.0;
 /// What earlier pictures may leave without being looked at, relative to their light.
-const FORGOTTEN: f64 = 1e-5;
+pub const FORGOTTEN: f64 = 1e-5;
 /// Most earlier pictures that a frame looks at.
 pub const MAX_HISTORY: u32 = 256;
 

@@ -3,6 +3,7 @@
 use super::Omission;
 use super::setup::Setup;
 use super::wavelengths::Wavelengths;
+use crate::display::{FORGOTTEN, Primary, Waveform};
 use crate::experiment::Experiment;
 use crate::media::MACULA_EDGE_DEG;
 
@@ -54,6 +55,18 @@ pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -
     }
     if setup.gaze.is_still() {
         list.push(omission("motion blur", "the eye does not move", 0.0));
+        let steady = |p: &Primary| p.waveform == Waveform::Steady;
+        if !experiment.display.primaries.iter().all(steady) || experiment.display.panel.lag_ms > 0.0 {
+            let why = "to an eye that does not move the light of a frame is one sum";
+            list.push(omission("the course of light inside a frame", why, 0.0));
+        }
+    }
+    let frame_s = 1.0 / experiment.display.frame_rate_hz;
+    let history = |p: &Primary| p.waveform.timing(0, frame_s, experiment.display.panel.lag_ms).history();
+    let history = experiment.display.primaries.iter().map(history).max().unwrap_or(0);
+    if history > 0 {
+        let why = format!("{history} earlier frames are looked at");
+        list.push(omission("ghosts of frames before those", &why, FORGOTTEN));
     }
     let nearest = glam::DVec2::ZERO.clamp(setup.region.min, setup.region.max).length();
     if nearest / super::setup::UM_PER_TANGENT > MACULA_EDGE_DEG.to_radians() {

@@ -151,3 +151,106 @@ impl SloanChart {
         self.lower_paper_rgb.map_or(Ok(()), |rgb| check_rgb(&format!("{path}.lower_paper_rgb"), rgb))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::display::{Channel, EmissionLaw, Panel, Primary, Transfer, Waveform, White};
+    use crate::spectrum::Spectrum;
+    use crate::video::{logmar_rows, paper_rows};
+
+    /// A print of 1200 dpi at 50 cm.
+    fn display(width_px: u32, height_px: u32) -> Display {
+        Display {
+            width_px,
+            height_px,
+            pixel_pitch_cm: 2.54 / 1200.0,
+            distance_cm: 50.0,
+            white: White::LuminanceCdM2(100.0),
+            frame_rate_hz: 60.0,
+            transfer: Transfer::Linear,
+            black: 0.0,
+            panel: Panel::default(),
+            emission_law: EmissionLaw::Lambertian,
+            primaries: vec![Primary {
+                channel: Channel::White,
+                spectrum: Spectrum::EqualEnergy,
+                power: 1.0,
+                rects: vec![[0.0, 0.0, 1.0, 1.0]],
+                offset_px: [0.0; 2],
+                spot_sd_px: 0.0,
+                waveform: Waveform::Steady,
+            }],
+        }
+    }
+
+    /// Red of a picture, `[row][column]`.
+    fn red(pattern: &Pattern, display: &Display) -> Vec<Vec<f32>> {
+        let centre = [0.5 * f64::from(display.width_px), 0.5 * f64::from(display.height_px)];
+        let picture = draw(pattern, display, &Gaze::still(centre));
+        picture
+            .rgb
+            .chunks_exact(3 * display.width_px as usize)
+            .map(|r| r.iter().step_by(3).copied().collect())
+            .collect()
+    }
+
+    fn chart(rows: Vec<ChartRow>, lower_paper_rgb: Option<[f64; 3]>) -> Pattern {
+        Pattern::SloanChart(SloanChart { rows, paper_rgb: [1.0; 3], ink_rgb: [0.0; 3], lower_paper_rgb })
+    }
+
+    /// A sweep from 0 to f over a width w has f·w/2 cycles.
+    #[test]
+    fn a_sweep_has_its_cycles() {
+        let display = display(720, 3);
+        let pattern = Pattern::Sweep {
+            from_cycles_per_degree: 0.0,
+            to_cycles_per_degree: 40.0,
+            contrast: 1.0,
+            rgb: [1.0; 3],
+        };
+        let row = &red(&pattern, &display)[1];
+        let crossings = row.windows(2).filter(|p| (p[0] - 0.5) * (p[1] - 0.5) < 0.0).count();
+        let width_deg = 720.0 * display.pixel_radians().to_degrees();
+        assert!((crossings as f64 - 40.0 * width_deg).abs() <= 1.0, "{crossings}");
+        assert!(row[0] > 0.99, "a maximum at the left edge");
+    }
+
+    /// An E of 20/20 strokes of 10 arcmin at this distance: rows of ink where bars are, size in pixels, light by area.
+    #[test]
+    fn letters_have_their_size() {
+        let display = display(500, 500);
+        let stroke_px = (10.0_f64 / 60.0).to_radians().tan() * 50.0 / (2.54 / 1200.0);
+        let rows = vec![ChartRow { letters: "E".into(), stroke_arcmin: 10.0 }];
+        let picture = red(&chart(rows, None), &display);
+        let ink: f64 = picture.iter().flatten().map(|v| 1.0 - f64::from(*v)).sum();
+        assert!((ink / (17.0 * stroke_px * stroke_px) - 1.0).abs() < 2e-3, "{ink}");
+        // Down a column through the bars: ink, paper, ink, paper, ink.
+        let column: Vec<bool> = picture.iter().map(|row| row[250] < 0.5).collect();
+        let runs: Vec<usize> = column.chunk_by(|a, b| a == b).map(<[bool]>::len).collect();
+        assert_eq!(runs.len(), 7);
+        assert!(runs[1..6].iter().all(|run| (*run as f64 - stroke_px).abs() <= 1.0), "{runs:?}");
+    }
+
+    /// The standard chart: the largest letters at 50 arcmin, each row smaller by 10^0.1; the paper's chart twice on one sheet.
+    #[test]
+    fn charts_are_laid_out() {
+        let rows = logmar_rows();
+        assert_eq!(rows.len(), 14);
+        assert!(
+            (rows[0].stroke_arcmin - 10.0).abs() < 1e-12 && (rows[13].stroke_arcmin - 0.501_187).abs() < 1e-6
+        );
+        for row in &rows {
+            let distinct: std::collections::BTreeSet<char> = row.letters.chars().collect();
+            assert_eq!(distinct.len(), 5, "{}", row.letters);
+        }
+        let display = display(720, 720);
+        let twice = red(&chart(paper_rows(), Some([0.5; 3])), &display);
+        let inked = |rows: std::ops::Range<usize>, paper: f32| {
+            twice[rows].iter().flatten().map(|v| f64::from((paper - v) / paper)).sum::<f64>()
+        };
+        let (upper, lower) = (inked(0..360, 1.0), inked(360..720, 0.5));
+        assert!(upper > 1e4 && (upper / lower - 1.0).abs() < 0.02, "{upper} {lower}");
+        assert!(twice[0][0] > 0.99 && (twice[719][0] - 0.5).abs() < 1e-6);
+    }
+}
