@@ -32,11 +32,11 @@ struct Signal {
     usual: f64,
 }
 
-/// Contrast around a frequency.
+/// Contrast that is left around a frequency.
 #[derive(Clone, Copy, Debug)]
 struct Contrast {
     cycles_per_degree: f64,
-    contrast: f64,
+    left: f64,
     error: f64,
 }
 
@@ -74,7 +74,7 @@ pub fn write(folder: &Path) -> Result<String, Failure> {
         let contrasts = contrasts(&signals, &experiment, [*from_cycles_per_degree, *to_cycles_per_degree]);
         let mut csv = String::from("cycles_per_degree,contrast,standard_error\n");
         for c in &contrasts {
-            let _ = writeln!(csv, "{:.3},{:.5},{:.5}", c.cycles_per_degree, c.contrast, c.error);
+            let _ = writeln!(csv, "{:.3},{:.5},{:.5}", c.cycles_per_degree, c.left, c.error);
         }
         save(&folder.join("sweep.csv"), csv.as_bytes())?;
         for level in [0.5, 0.2, 0.1] {
@@ -161,9 +161,13 @@ fn contrasts(signals: &[Signal], experiment: &Experiment, [from, to]: [f64; 2]) 
         counts[window] += signal.count;
     }
     let fit = |(i, (moment, count)): (usize, (&[[f64; 4]; 3], &f64))| {
-        let [a, b, c] = solve(*moment)?;
         let cycles_per_degree = from + (to - from).signum() * WINDOW_CPD * (i as f64 + 0.5);
-        Some(Contrast { cycles_per_degree, contrast: b.hypot(c) / a, error: (2.0 / count).sqrt() })
+        // Less than one cycle in a window fits anything.
+        if cycles_per_degree * WINDOW_CPD < rise.abs() {
+            return None;
+        }
+        let [a, b, c] = solve(*moment)?;
+        Some(Contrast { cycles_per_degree, left: b.hypot(c) / a, error: (2.0 / count).sqrt() })
     };
     moments.iter().zip(&counts).enumerate().filter_map(fit).collect()
 }
@@ -187,14 +191,14 @@ fn solve(mut m: [[f64; 4]; 3]) -> Option<[f64; 3]> {
 
 /// Frequency at which the contrast falls below a level for good, by linear interpolation.
 fn cut_off(contrasts: &[Contrast], level: f64) -> Option<f64> {
-    let last = contrasts.iter().rposition(|c| c.contrast >= level)?;
+    let last = contrasts.iter().rposition(|c| c.left >= level)?;
     let (a, b) = (contrasts[last], contrasts.get(last + 1)?);
-    let part = (a.contrast - level) / (a.contrast - b.contrast);
+    let part = (a.left - level) / (a.left - b.left);
     Some(a.cycles_per_degree + part * (b.cycles_per_degree - a.cycles_per_degree))
 }
 
 fn sweep_chart(contrasts: &[Contrast]) -> Chart {
-    let points = contrasts.iter().map(|c| (c.cycles_per_degree, c.contrast)).collect();
+    let points = contrasts.iter().map(|c| (c.cycles_per_degree, c.left)).collect();
     let mut series = Series::new("", points, Style::Both, PALETTE[1]);
     series.error = contrasts.iter().map(|c| c.error).collect();
     Chart {
@@ -219,7 +223,7 @@ mod tests {
 
     #[test]
     fn the_cut_off_is_the_last_fall_below_the_level() {
-        let at = |cycles_per_degree: f64, contrast: f64| Contrast { cycles_per_degree, contrast, error: 0.0 };
+        let at = |cycles_per_degree: f64, left: f64| Contrast { cycles_per_degree, left, error: 0.0 };
         let curve = [at(10.0, 0.9), at(20.0, 0.4), at(30.0, 0.6), at(40.0, 0.2)];
         assert!((cut_off(&curve, 0.5).unwrap() - 32.5).abs() < 1e-9);
         assert!(cut_off(&curve, 0.1).is_none());

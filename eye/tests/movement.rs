@@ -107,10 +107,16 @@ fn frames_join() {
     assert!(error < 1e-5, "{error}");
 }
 
-/// Centre and spread of where counts are seen, degrees.
+/// Centre (degrees) of where counts are seen, their spread (square degrees) within 0.15° of the display's middle, and their number. Without a
+/// bound the spread is that of the diffraction's tail, which grows with the patch.
 fn seen(experiment: &Experiment, index: u32) -> ([f64; 2], f64, f64) {
     let columns = cone_columns(experiment, &retina(experiment)).unwrap();
-    let values = values(experiment, index);
+    let mut values = values(experiment, index);
+    for (value, (x, y)) in values.iter_mut().zip(columns.x_deg.iter().zip(&columns.y_deg)) {
+        if x.hypot(*y) > 0.15 {
+            *value = 0.0;
+        }
+    }
     let total: f64 = values.iter().sum();
     let mean = |c: &[f64]| c.iter().zip(&values).map(|(x, v)| x * v).sum::<f64>() / total;
     let centre = [mean(&columns.x_deg), mean(&columns.y_deg)];
@@ -134,7 +140,7 @@ fn both_engines_move_alike() {
     let (centre, spread, total) = seen(&experiment, 1);
     experiment.counts.engine = Engine::Paper;
     experiment.counts.poisson = true;
-    experiment.counts.paper = PaperSettings { rays: 4096, samples: 128, window_um: 60.0, node_um: 150.0 };
+    experiment.counts.paper = PaperSettings { rays: 16384, samples: 256, window_um: 120.0, node_um: 150.0 };
     let (paper_centre, paper_spread, paper_total) = seen(&experiment, 1);
     println!("{centre:?} {spread:e} {total} paper {paper_centre:?} {paper_spread:e} {paper_total}");
     // Five standard deviations of chance (alpha 6e-7), and 1.5 % for the light that the paper's window cuts off and puts back.
@@ -146,5 +152,5 @@ fn both_engines_move_alike() {
         );
     }
     assert!((paper_total / total - 1.0).abs() < 5.0 / total.sqrt() + 0.02, "{total} {paper_total}");
-    assert!((paper_spread / spread - 1.0).abs() < 0.1, "{spread} {paper_spread}");
+    assert!((paper_spread / spread - 1.0).abs() < 0.04, "{spread} {paper_spread}");
 }
