@@ -10,6 +10,7 @@ mod experiment_file;
 mod failure;
 mod output;
 mod pictures;
+mod profile;
 mod progress;
 mod result_folder;
 mod service;

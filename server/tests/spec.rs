@@ -69,7 +69,7 @@ fn frames_follow_the_pictures() {
     let blob = photoneye_store::BlobDigest::of(b"").to_string();
     let read = read(&with("video", json!({"clip": {"blobs": [blob, blob]}}))).unwrap();
     assert_eq!(read.frames, 2);
-    assert!(matches!(read.video, Video::Clip(blobs) if blobs.len() == 2));
+    assert!(matches!(read.video, Video::Clip(clip) if clip.blobs.len() == 2));
 }
 
 #[test]
@@ -77,6 +77,29 @@ fn errors_name_the_field_and_what_is_allowed() {
     let cases = [
         ("eye", json!({"pupil_mm": 12}), "eye.pupil_mm: 12 is out of range, allowed is 0.5 to 9"),
         ("eye", json!({"preset": "cat"}), "eye.preset: unknown eye `cat`"),
+        ("display", json!({"preset": "oled", "contrast": 0.5}), "display.contrast: 0.5 is out of range"),
+        ("display", json!({"preset": "oled", "lag_ms": -1}), "display.lag_ms: -1 is out of range"),
+        ("display", json!({"preset": "oled", "ambient": {}}), "display.ambient.illuminance_lux: is missing"),
+        (
+            "gaze",
+            json!({"movement": {"recorded": {"t_s": [0, 1], "x_arcmin": [0], "y_arcmin": [0, 0]}}}),
+            "gaze.movement.recorded.x_arcmin: 1 values, expected 2 as in t_s",
+        ),
+        (
+            "gaze",
+            json!({"movement": {"recorded": {"t_s": [1, 1], "x_arcmin": [0, 0], "y_arcmin": [0, 0]}}}),
+            "gaze.movement.recorded.t_s[1]: 1 is out of range",
+        ),
+        (
+            "video",
+            json!({"pattern": {"sloan_chart": {"rows": [{"letters": "QED", "stroke_arcmin": 1}]}}}),
+            "video.pattern.sloan_chart.rows[0].letters: QED is out of range, allowed is 1 to 100 letters of",
+        ),
+        (
+            "video",
+            json!({"clip": {"blobs": [], "yuv": {"matrix": "BT709"}}}),
+            "video.clip.yuv.range: is missing",
+        ),
         (
             "eye",
             json!({"stiles_crawford": {"rho_per_mm2": 1}}),

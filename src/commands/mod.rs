@@ -1,6 +1,7 @@
 //! One file a command.
 
 mod cancel;
+mod displays;
 mod eyes;
 mod jobs;
 mod plan;
@@ -48,6 +49,7 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Results(args) => block_on(results::run(context, args)),
         Command::Cancel(args) => block_on(cancel::run(context, args)),
         Command::Render(args) => render::run(&context, &args),
+        Command::Displays(args) => displays::run(&context, &args),
         Command::Retina(args) => retina::run(&context, &args),
         Command::Eyes => eyes::run(&context),
         Command::Psf(args) => psf::run(&context, &args),

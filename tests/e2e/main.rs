@@ -9,3 +9,4 @@ mod retina;
 mod run;
 mod study;
 mod support;
+mod video;

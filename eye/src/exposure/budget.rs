@@ -8,10 +8,10 @@ use glam::DVec2;
 use super::cones::{ConeTable, slant_factor};
 use super::expected::Means;
 use super::inputs::Inputs;
-use super::source::{Projector, relative_light};
+use super::light::{Shown, courses, frame_light};
+use super::source::Projector;
 use crate::media::MACULA_EDGE_DEG;
 use crate::report::PhotonBudget;
-use crate::video::Picture;
 
 /// Steps of eccentricity in the table of the macula.
 const STEPS: usize = 100;
@@ -83,7 +83,7 @@ impl Ledger {
     pub fn budget(
         &self,
         projector: &Projector,
-        picture: &Picture,
+        shown: &Shown,
         cones: &ConeTable,
         means: &Means,
     ) -> PhotonBudget {
@@ -91,8 +91,11 @@ impl Ledger {
         let mut reached = 0.0;
         for (emitter, shares) in projector.emitters.iter().zip(&self.shares) {
             let per_pixel = emitter.emitted();
-            for (rgb, (slant, ecc_deg)) in picture.rgb.chunks_exact(3).zip(&self.pixels) {
-                let emitted = per_pixel * relative_light(&projector.display, emitter.channel, rgb);
+            let display = &projector.display;
+            let courses = courses(emitter, display, shown.index);
+            for (i, (slant, ecc_deg)) in (0_u32..).zip(&self.pixels) {
+                let at = [i % display.width_px, i / display.width_px];
+                let emitted = per_pixel * frame_light(display, emitter, &courses, shown, at);
                 let entered = emitted * projector.pupil_share * slant;
                 let macula = entered * interpolate(&shares.macula, ecc_deg / MACULA_EDGE_DEG);
                 budget.emitted += emitted;

@@ -156,12 +156,20 @@ impl Expected {
         let [px, py] = self.scene.period_px;
         let size = self.scene.size_px.map(|s| s as usize);
         let sent = |(primary, pixel): (&SourcePrimary, &Vec<Complex64>)| {
-            let spectrum = picture_spectrum(&primary.light, size, [px, py], &self.frequencies);
-            let at = |((nu, pixel), light): ((&Frequency, &Complex64), &Complex64)| {
-                let cycles = DVec2::new(f64::from(nu.x) / px as f64, f64::from(nu.y) / py as f64);
-                light * pixel * primary.movement(cycles)
-            };
-            self.frequencies.par_iter().zip(pixel).zip(&spectrum).with_min_len(4096).map(at).collect()
+            let mut sent = vec![Complex64::ZERO; self.frequencies.len()];
+            for layer in &primary.layers {
+                let spectrum = picture_spectrum(&layer.light, size, [px, py], &self.frequencies);
+                let add = |(((nu, pixel), light), sum): (
+                    ((&Frequency, &Complex64), &Complex64),
+                    &mut Complex64,
+                )| {
+                    let cycles = DVec2::new(f64::from(nu.x) / px as f64, f64::from(nu.y) / py as f64);
+                    *sum += light * pixel * layer.movement(cycles);
+                };
+                let terms = self.frequencies.par_iter().zip(pixel).zip(&spectrum).zip(&mut sent);
+                terms.with_min_len(4096).for_each(add);
+            }
+            sent
         };
         source.primaries.iter().zip(&self.pixels).map(sent).collect()
     }
@@ -263,7 +271,7 @@ fn pixel_transforms(
         let at = |nu: &Frequency| {
             let cycles = DVec2::new(f64::from(nu.x) / px, f64::from(nu.y) / py);
             let spreading = along_x[nu.x.unsigned_abs() as usize] * along_y[nu.y.unsigned_abs() as usize];
-            pixel_transform(&emitter.rects, cycles) / (px * py * spreading)
+            pixel_transform(emitter, cycles) / (px * py * spreading)
         };
         frequencies.iter().map(at).collect()
     };

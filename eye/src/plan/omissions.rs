@@ -3,7 +3,8 @@
 use super::Omission;
 use super::setup::Setup;
 use super::wavelengths::Wavelengths;
-use crate::experiment::{Experiment, Movement};
+use crate::display::{FORGOTTEN, Primary, Waveform};
+use crate::experiment::Experiment;
 use crate::media::MACULA_EDGE_DEG;
 
 /// Energy of a diffraction-limited spread beyond a radius R is about λ/(π² NA R); λ in the vitreous over NA, µm, at 3 mm.
@@ -52,12 +53,20 @@ pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -
             0.15 * experiment.accuracy_target,
         ));
     }
-    let still = match experiment.gaze.movement {
-        Movement::Still => true,
-        Movement::Drift { speed_arcmin_per_s, .. } => speed_arcmin_per_s <= 0.0,
-    };
-    if still {
+    if setup.gaze.is_still() {
         list.push(omission("motion blur", "the eye does not move", 0.0));
+        let steady = |p: &Primary| p.waveform == Waveform::Steady;
+        if !experiment.display.primaries.iter().all(steady) || experiment.display.panel.lag_ms > 0.0 {
+            let why = "to an eye that does not move the light of a frame is one sum";
+            list.push(omission("the course of light inside a frame", why, 0.0));
+        }
+    }
+    let frame_s = 1.0 / experiment.display.frame_rate_hz;
+    let history = |p: &Primary| p.waveform.timing(0, frame_s, experiment.display.panel.lag_ms).history();
+    let history = experiment.display.primaries.iter().map(history).max().unwrap_or(0);
+    if history > 0 {
+        let why = format!("{history} earlier frames are looked at");
+        list.push(omission("ghosts of frames before those", &why, FORGOTTEN));
     }
     let nearest = glam::DVec2::ZERO.clamp(setup.region.min, setup.region.max).length();
     if nearest / super::setup::UM_PER_TANGENT > MACULA_EDGE_DEG.to_radians() {

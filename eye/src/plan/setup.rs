@@ -51,9 +51,9 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     let eye = SchematicEye::new(&prescription, &state).map_err(model)?;
     let projection = Projection::new(&eye, experiment.display.distance_cm * 10.0).map_err(model)?;
     let seconds = f64::from(experiment.frames) / experiment.display.frame_rate_hz;
-    let gaze = Gaze::new(experiment.gaze.movement, experiment.display.distance_cm, seconds)?;
-    let sight_end = gaze.screen_tangent(seconds);
-    let sight = [DVec2::ZERO.min(sight_end), DVec2::ZERO.max(sight_end)];
+    let frame_s = 1.0 / experiment.display.frame_rate_hz;
+    let gaze = Gaze::new(&experiment.gaze, experiment.display.distance_cm, experiment.frames, frame_s)?;
+    let sight = gaze.bounds(seconds);
     let region = region(experiment, &projection, sight)?;
     let guard_um = if experiment.accuracy_target >= 0.005 { 150.0 } else { 300.0 };
     let needs = SceneNeeds {

@@ -1,6 +1,6 @@
 //! Which wavelengths a scene needs: those that a primary emits and a cone can catch.
 
-use crate::display::Emitter;
+use crate::display::{Emitter, photon_shares};
 use crate::experiment::Experiment;
 use crate::exposure::spectral::{Absorbers, KINDS, Kind, Paths, wavelength_nodes};
 
@@ -33,24 +33,27 @@ pub fn choose(
     let paths = Paths { cornea: 1.0, lens: 1.0 };
     // Share of the catch of each cone type from each primary, by wavelength; the largest over both decides.
     let mut catches: Vec<(f64, f64)> = Vec::new();
-    for emitter in emitters {
+    // A dark primary has its spectrum still.
+    let spectra: Vec<_> = experiment.display.primaries.iter().map(|p| p.spectrum.clone()).collect();
+    let dark = photon_shares(&spectra);
+    for (emitter, shares) in emitters.iter().zip(&dark) {
+        let lit = emitter.emitted() > 0.0;
+        let photons: Vec<(f64, f64)> =
+            if lit { emitter.photons.iter().map(|p| (p.nm, p.emitted)).collect() } else { shares.clone() };
         let per_kind: Vec<Vec<f64>> = KINDS
             .iter()
             .filter(|kind| !matches!(kind, Kind::Arriving))
             .map(|kind| {
-                emitter
-                    .photons
-                    .iter()
-                    .map(|p| p.emitted * absorbers.caught_at(*kind, p.nm, 0.0, paths))
-                    .collect()
+                let caught = |(nm, n): &(f64, f64)| n * absorbers.caught_at(*kind, *nm, 0.0, paths);
+                photons.iter().map(caught).collect()
             })
             .collect();
         let totals: Vec<f64> = per_kind.iter().map(|c: &Vec<f64>| c.iter().sum()).collect();
         let most = totals.iter().copied().fold(0.0, f64::max);
-        for (i, photon) in emitter.photons.iter().enumerate() {
+        for (i, (nm, _)) in photons.iter().enumerate() {
             let seen = per_kind.iter().zip(&totals).filter(|(_, total)| **total > 1e-4 * most);
             let share = seen.map(|(c, total)| c[i] / total).fold(0.0, f64::max);
-            catches.push((photon.nm, share));
+            catches.push((*nm, share));
         }
     }
     catches.sort_by(|a, b| a.0.total_cmp(&b.0));

@@ -23,7 +23,7 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
     let video = scene::video(spec.video.as_ref(), &gaze, &display)?;
     let frames = spec.frames.as_ref().and_then(|frames| frames.count);
     let frames = frames.unwrap_or_else(|| match &video {
-        Video::Clip(blobs) => (blobs.len() as u32).max(1),
+        Video::Clip(clip) => (clip.blobs.len() as u32).max(1),
         Video::Pattern(_) => 1,
     });
     let experiment = Experiment {
