@@ -13,7 +13,7 @@ use crate::retina::{
 };
 
 /// Version of the counts that an experiment gives; rises whenever the same experiment gives other counts.
-pub const COUNTS_VERSION: u32 = 2;
+pub const COUNTS_VERSION: u32 = 3;
 
 /// What a user asks for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -370,4 +370,4 @@ impl Retina {
 }
 
 /// Widest field that is served now, visual degrees from the gaze centre.
-pub const MAX_REGION_DEG: f64 = 3.0;
+pub const MAX_REGION_DEG: f64 = 30.0;

@@ -277,7 +277,7 @@ fn basis_images(
     frequencies: &[Frequency],
     cones: &ConeTable,
 ) -> Vec<(usize, Vec<Vec<Complex32>>)> {
-    let shape = kernels.spec().shape;
+    let shape = kernels.shape();
     let [px, py] = scene.period_px.map(|p| p as f64);
     let stencils: Vec<_> = frequencies
         .par_iter()

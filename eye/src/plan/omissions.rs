@@ -12,7 +12,7 @@ const TAIL_UM: f64 = 0.62;
 const HALF_BLEACH_TD: f64 = 19_953.0;
 
 /// The omissions of an experiment.
-pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -> Vec<Omission> {
+pub fn list(experiment: &Experiment, setup: &Setup, band: f64, wavelengths: &Wavelengths) -> Vec<Omission> {
     let mut list = vec![
         omission(
             "cones outside the patch",
@@ -44,11 +44,11 @@ pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -
         omission("bleaching", "pigments are taken as unbleached, as in §20", bleached(experiment)),
     ];
     let cutoff = super::setup::cutoff(experiment);
-    if setup.scene.band < cutoff {
-        let kept = setup.scene.band * std::f64::consts::PI / 180.0;
+    if band < cutoff {
+        let kept = band * std::f64::consts::PI / 180.0;
         list.push(omission(
             "spatial frequencies that blur and apertures average away",
-            &format!("frequencies up to {kept:.0} cycles per degree are kept"),
+            &format!("frequencies up to {kept:.0} cycles per degree are kept, fewer where cones are wide"),
             0.15 * experiment.accuracy_target,
         ));
     }

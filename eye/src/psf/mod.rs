@@ -9,6 +9,7 @@
 //! ξ is counted from the landing point of the chief ray of the same wavelength, µm along the retina's tangents.
 
 pub mod chords;
+pub mod gridding;
 pub mod huygens;
 pub mod least_squares;
 pub mod matrix;
@@ -17,9 +18,13 @@ pub mod outline;
 pub mod polynomial;
 pub mod quadrature;
 pub mod sincos;
+pub mod table;
+pub mod transfer_map;
 pub mod wavefront;
 
 pub use huygens::HuygensOptions;
 pub use matrix::{GridAxes, PsfGrid, psf};
 pub use otf::Otf;
+pub use table::WavefrontTable;
+pub use transfer_map::TransferMap;
 pub use wavefront::{Amplitude, StilesCrawfordApodization, Wavefront, WavefrontOptions};

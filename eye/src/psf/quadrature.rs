@@ -34,6 +34,25 @@ pub fn gauss_legendre(n: usize) -> Vec<(f64, f64)> {
     rule
 }
 
+/// Rules that were asked for, kept for the next time.
+#[derive(Clone, Debug, Default)]
+pub struct Rules(Vec<Vec<(f64, f64)>>);
+
+impl Rules {
+    /// The rules of `first` and `second` nodes.
+    pub fn pair(&mut self, first: usize, second: usize) -> (&[(f64, f64)], &[(f64, f64)]) {
+        if self.0.len() <= first.max(second) {
+            self.0.resize(first.max(second) + 1, Vec::new());
+        }
+        for nodes in [first, second] {
+            if self.0[nodes].is_empty() {
+                self.0[nodes] = gauss_legendre(nodes);
+            }
+        }
+        (&self.0[first], &self.0[second])
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::gauss_legendre;
