@@ -71,7 +71,7 @@ impl ArtifactSpec {
     fn version(&self) -> u32 {
         match self {
             Self::RetinaTile { .. } | Self::Cones { .. } => 2,
-            Self::Kernels(_) => 2,
+            Self::Kernels(_) => 3,
         }
     }
 

@@ -61,6 +61,19 @@ pub struct Eye {
     pub stiles_crawford_rho10_per_mm2: f64,
     /// Standard deviation of a cone's pointing error, degrees, per axis.
     pub pointing_sd_deg: f64,
+    /// Whether reflections at the surfaces are computed instead of the cornea's flat density.
+    pub reflection_losses: bool,
+    /// Light scattered in the eye; `None` leaves it out.
+    pub stray_light: Option<StrayLight>,
+}
+
+/// What decides the light scattered in the eye.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StrayLight {
+    /// Age, years.
+    pub age_years: f64,
+    /// Pigmentation of the eye: 0 black, 0.5 brown, 1 green, 1.2 light blue.
+    pub pigmentation: f64,
 }
 
 /// The cone mosaic.
@@ -306,6 +319,10 @@ impl Eye {
         check_range("eye.macular_peak_density", self.macular_peak_density, 0.0, 2.0)?;
         check_range("eye.lens_density_scale", self.lens_density_scale, 0.0, 5.0)?;
         check_range("eye.stiles_crawford.rho_per_mm2", self.stiles_crawford_rho10_per_mm2, 0.0, 0.2)?;
+        if let Some(stray) = self.stray_light {
+            check_range("eye.stray_light.age_years", stray.age_years, 1.0, 100.0)?;
+            check_range("eye.stray_light.pigmentation", stray.pigmentation, 0.0, 1.2)?;
+        }
         check_range("eye.stiles_crawford.perturbation_deg", self.pointing_sd_deg, 0.0, 5.0)
     }
 }

@@ -7,7 +7,7 @@ mod support;
 
 use std::collections::BTreeMap;
 
-use photoneye_eye::experiment::{Experiment, Pattern};
+use photoneye_eye::experiment::{Experiment, Pattern, StrayLight};
 use photoneye_eye::exposure::{Exposure, FrameCounts};
 use photoneye_eye::plan::plan;
 use photoneye_eye::report::PhotonBudget;
@@ -72,9 +72,27 @@ fn seams_do_not_show() {
 /// Along a white screen 40° wide the counts per aperture follow the screen's slant and the media; they never jump.
 #[test]
 fn a_white_screen_is_even_across_forty_degrees() {
-    let mut experiment = wide(WHITE, [-20.0, 20.0, -0.02, 0.02]);
+    let experiment = wide(WHITE, [-20.0, 20.0, -0.02, 0.02]);
     let (tiles, by_cone, _) = means(&experiment);
     println!("{tiles} tiles, {} cones", by_cone.len());
     assert!(tiles >= 10 && by_cone.len() > 1000);
     assert!(by_cone.values().all(|m| m.is_finite() && *m >= 0.0));
+}
+
+/// Under a veil every photon still has one fate. On a screen of 40° a cone of the fovea keeps its light less what is scattered
+/// away, and gets back what the rest of the screen scatters on it; on black beside the light it gets a part of it.
+#[test]
+fn stray_light_is_a_veil() {
+    let mut experiment = wide(WHITE, [-0.15, 0.15, -0.15, 0.15]);
+    experiment.display.height_px = 160;
+    experiment.gaze.center_px = [80.0, 80.0];
+    let (_, without, _) = means(&experiment);
+    experiment.eye.stray_light = Some(StrayLight { age_years: 70.0, pigmentation: 0.5 });
+    let (_, with, budget) = means(&experiment);
+    assert!((budget.fates() / budget.emitted - 1.0).abs() < 1e-9);
+    let total = |of: &BTreeMap<u64, f64>| of.values().sum::<f64>();
+    let ratio = total(&with) / total(&without);
+    // Within 20° of 90° lie four fifths of what is scattered, a seventh of all light.
+    println!("veil: {ratio}");
+    assert!((0.93..1.0).contains(&ratio), "{ratio}");
 }

@@ -106,11 +106,8 @@ impl Ledger {
                 reached += entered * (1.0 - shares.cornea - shares.lens) - macula;
             }
         }
-        let mut arrived = 0.0;
-        let mut guided = 0.0;
-        for ((cone, mean), arriving) in cones.cones.iter().zip(&means.isomerized).zip(&means.arriving) {
-            arrived += arriving;
-            guided += arriving * cone.pointing;
+        let Means { arrived, guided, .. } = *means;
+        for (cone, mean) in cones.cones.iter().zip(&means.isomerized) {
             budget.isomerized[cone.cone_type as usize] += mean;
         }
         let isomerized: f64 = budget.isomerized.iter().sum();

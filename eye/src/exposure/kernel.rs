@@ -60,6 +60,8 @@ pub struct KernelSpec {
     pub lens_density_scale: f64,
     /// Peak density of the macula.
     pub macular_peak_density: f64,
+    /// Whether reflections at the surfaces are computed instead of the cornea's flat density.
+    pub reflection_losses: bool,
     /// Stiles-Crawford coefficient, base 10, 1/mm²; 0 is off.
     pub stiles_crawford_rho10_per_mm2: f64,
     /// Relative error of the low-rank basis.
@@ -105,10 +107,12 @@ impl KernelSpec {
     /// # Errors
     /// When the embedded tables cannot be read.
     pub fn absorbers(&self) -> Result<Absorbers, String> {
-        Ok(Absorbers {
-            media: Media::new(self.lens_density_scale, self.macular_peak_density)?,
-            pigments: Pigments::new()?,
-        })
+        let mut media = Media::new(self.lens_density_scale, self.macular_peak_density)?;
+        if self.reflection_losses {
+            let eye = SchematicEye::new(&self.prescription, &self.state).map_err(|e| e.to_string())?;
+            media = media.with_reflections(|nm| eye.indices(nm));
+        }
+        Ok(Absorbers { media, pigments: Pigments::new()? })
     }
 
     /// The screen in front of the eye.

@@ -273,6 +273,7 @@ fn kernel_spec(
         primaries: experiment.display.primaries.iter().map(|p| p.spectrum.clone()).collect(),
         lens_density_scale: experiment.eye.lens_density_scale,
         macular_peak_density: experiment.eye.macular_peak_density,
+        reflection_losses: experiment.eye.reflection_losses,
         stiles_crawford_rho10_per_mm2: experiment.eye.stiles_crawford_rho10_per_mm2,
         tolerance: BASIS_SHARE * experiment.accuracy_target,
         band: scene.band,

@@ -95,9 +95,11 @@ impl WavefrontTable {
 
 /// Wavelengths at which the indices have kinks.
 fn kinks_nm(eye: &SchematicEye) -> Vec<f64> {
-    match eye.state().dispersion {
-        Dispersion::Polyline => eye.prescription().polyline.wavelength_nm[1..3].to_vec(),
-        Dispersion::Herzberger => Vec::new(),
+    let state = eye.state();
+    if state.dispersion == Dispersion::Polyline {
+        eye.prescription().polyline.wavelength_nm[1..3].to_vec()
+    } else {
+        Vec::new()
     }
 }
 

@@ -48,6 +48,8 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             lens_density_scale: 1.0,
             stiles_crawford_rho10_per_mm2: 0.05,
             pointing_sd_deg: 1.0,
+            reflection_losses: false,
+            stray_light: None,
         },
         retina: Retina::default(),
         display: Display {

@@ -5,7 +5,7 @@ mod read;
 mod scene;
 
 use photoneye_eye::catalog;
-use photoneye_eye::experiment::{Counts, Engine, Experiment, Eye, PaperSettings, Retina, Video};
+use photoneye_eye::experiment::{Counts, Engine, Experiment, Eye, PaperSettings, Retina, StrayLight, Video};
 use photoneye_eye::optics::{Dispersion, Side};
 use photoneye_eye::retina::{CellWalls, DensityLaw, Dropout, Generator};
 use photoneye_proto::{FieldError, v1};
@@ -71,6 +71,11 @@ fn eye(spec: Option<&v1::Eye>, distance_cm: f64) -> Result<Eye, FieldError> {
         macular_peak_density: number(spec.macular_peak_density, 0.404),
         lens_density_scale: number(spec.lens_density_scale, 1.0),
         stiles_crawford_rho10_per_mm2: rho10,
+        reflection_losses: spec.reflection_losses.unwrap_or(false),
+        stray_light: spec.stray_light.as_ref().map(|stray| StrayLight {
+            age_years: number(stray.age_years, 30.0),
+            pigmentation: number(stray.pigmentation, 0.5),
+        }),
         pointing_sd_deg,
     })
 }
