@@ -16,7 +16,7 @@ use crate::retina::{Density, RegionUm};
 /// Wavelength at which the perfect lens passes no less than a real eye at those that cones catch best, nm.
 const LONG_NM: f64 = 500.0;
 /// E(B) per accuracy target.
-const LOSS: f64 = 0.1;
+const LOSS: f64 = 0.3;
 /// Steps of the integral.
 const STEPS: u32 = 400;
 
