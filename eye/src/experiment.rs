@@ -14,7 +14,7 @@ use crate::retina::{
 use crate::video::ClipFormat;
 
 /// Version of the counts that an experiment gives; rises whenever the same experiment gives other counts.
-pub const COUNTS_VERSION: u32 = 2;
+pub const COUNTS_VERSION: u32 = 3;
 
 /// What a user asks for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -66,6 +66,19 @@ pub struct Eye {
     pub prescription: Option<Box<Prescription>>,
     /// Whether the eye stays unaccommodated, whatever it looks at.
     pub relaxed: bool,
+    /// Whether reflections at the surfaces are computed instead of the cornea's flat density.
+    pub reflection_losses: bool,
+    /// Light scattered in the eye; `None` leaves it out.
+    pub stray_light: Option<StrayLight>,
+}
+
+/// What decides the light scattered in the eye.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StrayLight {
+    /// Age, years.
+    pub age_years: f64,
+    /// Pigmentation of the eye: 0 black, 0.5 brown, 1 green, 1.2 light blue.
+    pub pigmentation: f64,
 }
 
 /// The cone mosaic.
@@ -396,6 +409,10 @@ impl Eye {
         check_range("eye.macular_peak_density", self.macular_peak_density, 0.0, 2.0)?;
         check_range("eye.lens_density_scale", self.lens_density_scale, 0.0, 5.0)?;
         check_range("eye.stiles_crawford.rho_per_mm2", self.stiles_crawford_rho10_per_mm2, 0.0, 0.2)?;
+        if let Some(stray) = self.stray_light {
+            check_range("eye.stray_light.age_years", stray.age_years, 1.0, 100.0)?;
+            check_range("eye.stray_light.pigmentation", stray.pigmentation, 0.0, 1.2)?;
+        }
         check_range("eye.stiles_crawford.perturbation_deg", self.pointing_sd_deg, 0.0, 5.0)
     }
 }
@@ -461,4 +478,4 @@ impl Retina {
 }
 
 /// Widest field that is served now, visual degrees from the gaze centre.
-pub const MAX_REGION_DEG: f64 = 3.0;
+pub const MAX_REGION_DEG: f64 = 30.0;

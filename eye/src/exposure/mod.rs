@@ -3,6 +3,7 @@
 //! `expected` computes the exact mean of every cone and draws a Poisson number; `paper` follows every photon as §22 is written and
 //! is the slow reference.
 
+mod arriving;
 mod budget;
 mod codec;
 mod cones;
@@ -20,6 +21,7 @@ pub mod scene;
 mod source;
 pub mod spectral;
 mod spread;
+pub mod stray;
 mod transfer;
 
 use glam::DVec2;
@@ -88,6 +90,7 @@ pub struct Exposure {
     ids: Vec<u64>,
     ledger: Ledger,
     counter: Counter,
+    veil: Option<stray::Veil>,
     pattern: Option<Picture>,
 }
 
@@ -109,6 +112,7 @@ impl Exposure {
             }
             Engine::Paper => Counter::Paper(Box::new(Paper::new(experiment, &inputs).map_err(model)?)),
         };
+        let veil = experiment.eye.stray_light.map(|light| stray::Veil::new(&inputs, &cones, light));
         let Inputs { retina, projector, scene, .. } = inputs;
         let pattern = match &experiment.video {
             Video::Pattern(pattern) => Some(draw(pattern, &projector.display, &experiment.gaze)),
@@ -122,6 +126,7 @@ impl Exposure {
             ids: retina.cones.id,
             ledger,
             counter,
+            veil,
             pattern,
         })
     }
@@ -178,7 +183,10 @@ impl Exposure {
         }
         match &self.counter {
             Counter::Expected(expected) => {
-                let means = expected.frame(&self.projector.frame(&shown, &self.scene));
+                let mut means = expected.frame(&self.projector.frame(&shown, &self.scene));
+                if let Some(veil) = &self.veil {
+                    veil.add(&mut means, &shown, &self.projector);
+                }
                 Ok(self.expected_frame(&shown, &means))
             }
             Counter::Paper(paper) => {

@@ -9,6 +9,7 @@
 //! ξ is counted from the landing point of the chief ray of the same wavelength, µm along the retina's tangents.
 
 pub mod chords;
+pub mod gridding;
 pub mod huygens;
 pub mod least_squares;
 pub mod matrix;
@@ -19,10 +20,14 @@ pub mod quadrature;
 pub mod sampled;
 pub mod sampled_fft;
 pub mod sincos;
+pub mod table;
+pub mod transfer_map;
 pub mod wavefront;
 
 pub use huygens::HuygensOptions;
 pub use matrix::{GridAxes, PsfGrid, psf};
 pub use otf::Otf;
 pub use sampled::PupilSampling;
+pub use table::WavefrontTable;
+pub use transfer_map::TransferMap;
 pub use wavefront::{Amplitude, StilesCrawfordApodization, Wavefront, WavefrontOptions};

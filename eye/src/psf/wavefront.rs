@@ -85,8 +85,8 @@ pub struct Wavefront {
     pub amplitude_sum: f64,
     /// ∫A² without apodization.
     pub energy_open: f64,
-    throughput: f64,
-    rms_um: f64,
+    pub(super) throughput: f64,
+    pub(super) rms_um: f64,
 }
 
 impl Wavefront {

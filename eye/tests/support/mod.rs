@@ -53,6 +53,8 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             pointing_sd_deg: 1.0,
             prescription: None,
             relaxed: false,
+            reflection_losses: false,
+            stray_light: None,
         },
         retina: Retina::default(),
         display: Display {

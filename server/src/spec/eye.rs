@@ -4,7 +4,7 @@
 //! refused with the field's path.
 
 use photoneye_eye::catalog;
-use photoneye_eye::experiment::Eye;
+use photoneye_eye::experiment::{Eye, StrayLight};
 use photoneye_eye::optics::pupil::{PupilLaw, PupilScene, decentre_mm};
 use photoneye_eye::optics::{Dispersion, OpticsError, Prescription, Side};
 use photoneye_proto::{FieldError, v1};
@@ -57,6 +57,11 @@ pub(super) fn eye(spec: Option<&v1::Eye>, distance_cm: f64) -> Result<Eye, Field
         lens_density_scale: number(spec.lens_density_scale, 1.0),
         stiles_crawford_rho10_per_mm2: rho10,
         pointing_sd_deg,
+        reflection_losses: spec.reflection_losses.unwrap_or(false),
+        stray_light: spec.stray_light.as_ref().map(|stray| StrayLight {
+            age_years: number(stray.age_years, 30.0),
+            pigmentation: number(stray.pigmentation, 0.5),
+        }),
         prescription: own,
         relaxed: focus.relaxed.unwrap_or(false),
     })

@@ -92,7 +92,7 @@ impl Paper {
     /// # Errors
     /// When a node of the screen is not seen.
     pub fn new(experiment: &Experiment, inputs: &Inputs) -> Result<Self, String> {
-        let Inputs { retina, kernels, projection, scene, pointing, projector } = inputs;
+        let Inputs { retina, kernels, projection, scene, pointing, projector, .. } = inputs;
         let absorbers = kernels.spec().absorbers()?;
         let columns = crate::exposure::cone_columns(experiment, retina)?;
         let cones = (0..retina.len())
