@@ -37,7 +37,8 @@ pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> f64 {
     let pixel = pixel * display.pixel_pitch_cm / display.distance_cm;
     let aperture = (aperture_um2 / FRAC_PI_4).sqrt() / UM_PER_TANGENT;
     let lens = experiment.eye.pupil_mm * 1e6 / LONG_NM;
-    let most = cutoff.min(200.0 * 180.0 / PI);
+    // An aberrated pupil passes far less than the perfect one: limits for small pixels.
+    let most = cutoff.min(if target >= 0.005 { 90.0 } else { 130.0 } * 180.0 / PI);
     let part = |i: u32| {
         let nu = most * (f64::from(i) + 0.5) / f64::from(STEPS);
         // The mean over directions of the square's transform squared is near that of a disc of the same area.
