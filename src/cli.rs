@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand};
 
 use crate::cli_optics::{PsfArgs, RetinaArgs, TraceArgs};
+use crate::cli_study::StudyArgs;
 
 /// Photon-accurate simulation of the human eye looking at a display.
 ///
@@ -50,12 +51,18 @@ pub enum Command {
     Cancel(JobArgs),
     /// Draw the pictures of a result folder again
     Render(RenderArgs),
+    /// List the displays, show one, or import one of ColorVideoVDP
+    Displays(DisplaysArgs),
     /// Grow the cones out to an eccentricity; prints figures of the mosaic
     Retina(RetinaArgs),
+    /// List the model eyes
+    Eyes,
     /// Compute one point spread of the eye
     Psf(PsfArgs),
     /// Trace given rays through the unaccommodated eye
     Trace(TraceArgs),
+    /// Measure what the model does and what it costs; leaves tables, charts and a page
+    Study(StudyArgs),
 }
 
 /// An experiment file with changes.
@@ -213,9 +220,26 @@ pub struct PictureArgs {
 pub struct RenderArgs {
     /// A result folder with cones.arrow and counts.npy
     pub dir: PathBuf,
+    /// Also write profile.csv and profile.png: the cones' signal across the picture, averaged over its height; of a frequency
+    /// sweep also the contrast that is left at each frequency
+    #[arg(long)]
+    pub profile: bool,
     /// Pictures
     #[command(flatten)]
     pub pictures: PictureArgs,
+}
+
+/// `displays`.
+#[derive(Debug, Args)]
+pub struct DisplaysArgs {
+    /// Show this display in full; with --import, the display of the file
+    pub name: Option<String>,
+    /// A display file of ColorVideoVDP; prints the `display` part of an experiment
+    #[arg(long, value_name = "FILE")]
+    pub import: Option<PathBuf>,
+    /// The display that lends spectra and pixels to an imported one
+    #[arg(long, value_name = "NAME", default_value = "lcd-wled")]
+    pub spectra_of: String,
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use photoneye_eye::optics::Dispersion;
+use photoneye_eye::optics::{Dispersion, Side};
 
 /// `retina`.
 #[derive(Debug, Args)]
@@ -68,6 +68,8 @@ pub enum DispersionName {
     Polyline,
     /// Herzberger's interpolation.
     Herzberger,
+    /// One parabola for all media.
+    Quadratic,
 }
 
 impl From<DispersionName> for Dispersion {
@@ -75,20 +77,59 @@ impl From<DispersionName> for Dispersion {
         match name {
             DispersionName::Polyline => Self::Polyline,
             DispersionName::Herzberger => Self::Herzberger,
+            DispersionName::Quadratic => Self::Quadratic,
         }
     }
+}
+
+/// Which of the two eyes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum SideName {
+    /// The right eye.
+    Right,
+    /// The left eye.
+    Left,
+}
+
+impl From<SideName> for Side {
+    fn from(name: SideName) -> Self {
+        match name {
+            SideName::Right => Self::Right,
+            SideName::Left => Self::Left,
+        }
+    }
+}
+
+/// Which eye.
+#[derive(Debug, Args)]
+pub struct EyeArgs {
+    /// An eye that `photoneye eyes` lists, or a file of the same form (FILE.json)
+    #[arg(long, value_name = "NAME", default_value = "escudero-sanz-navarro")]
+    pub eye: String,
+    /// Right or left
+    #[arg(long, value_enum, ignore_case = true, default_value_t = SideName::Right)]
+    pub side: SideName,
+    /// Decentre of the stop, mm [default: the eye's, 0.4]
+    #[arg(long, allow_hyphen_values = true)]
+    pub decentre_mm: Option<f64>,
+    /// Law of the refractive indices [default: herzberger where the eye has it]
+    #[arg(long, value_enum)]
+    pub dispersion: Option<DispersionName>,
 }
 
 /// `psf`.
 #[derive(Debug, Args)]
 pub struct PsfArgs {
-    /// Angle of the light to the optical axis in the fovea's meridian; the fovea is at 5
-    #[arg(long, default_value_t = 5.0, allow_hyphen_values = true)]
-    pub field_deg: f64,
+    /// The eye
+    #[command(flatten)]
+    pub eye: EyeArgs,
+    /// Angle of the light to the optical axis in the fovea's meridian [default: that of the fovea, 5]
+    #[arg(long, allow_hyphen_values = true)]
+    pub field_deg: Option<f64>,
     /// Vacuum wavelength
     #[arg(long, default_value_t = 543.0)]
     pub wavelength_nm: f64,
-    /// Entrance pupil diameter; the physical stop is this over 1.1334061 at every wavelength
+    /// Entrance pupil diameter; the physical stop is this over 1.1334061 (in the default eye) at every wavelength
     #[arg(long, default_value_t = 3.0)]
     pub pupil_mm: f64,
     /// Vergence of the object, dioptres, positive in front of the eye: 2 is 500 mm away
@@ -97,12 +138,6 @@ pub struct PsfArgs {
     /// Accommodation parameter A; 0 is the unaccommodated eye
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
     pub accommodation_a: f64,
-    /// Law of the refractive indices
-    #[arg(long, value_enum, default_value_t = DispersionName::Herzberger)]
-    pub dispersion: DispersionName,
-    /// Decentre of the stop
-    #[arg(long, default_value_t = 0.4, allow_hyphen_values = true)]
-    pub decentre_mm: f64,
     /// What the amplitude over the pupil follows: the flux of the rays, or evenly over the stop
     #[arg(long, value_enum, default_value_t = AmplitudeName::Flux)]
     pub amplitude: AmplitudeName,
@@ -112,9 +147,24 @@ pub struct PsfArgs {
     /// Half of the side; samples lie at (i + 0.5 - N/2)·2·half-width/N about the chief ray of the same wavelength
     #[arg(long, default_value_t = 10.0)]
     pub half_width_um: f64,
-    /// The fitted wavefront as a matrix product, or Huygens' sum over traced rays
+    /// How it is computed
     #[arg(long, value_enum, default_value_t = MethodName::Fit)]
     pub method: MethodName,
+    /// Rays of the sampled methods (fft: samples of the pupil); the paper has 1024
+    #[arg(long, default_value_t = 1024, value_parser = clap::value_parser!(u32).range(4..=1_000_000))]
+    pub rays: u32,
+    /// Seed of random rays
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Take the nearest wavelength on this grid from 390 nm, as the paper does with 10
+    #[arg(long, value_name = "NM")]
+    pub wavelength_step_nm: Option<f64>,
+    /// Take the point spread of the nearest place on this grid from the fovea, as the paper does with 300 (287 µm a degree)
+    #[arg(long, value_name = "UM")]
+    pub node_um: Option<f64>,
+    /// Scale so that the window holds all the light, as the paper does
+    #[arg(long)]
+    pub whole_window: bool,
     /// Compute so many times and print seconds per point spread
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub repeat: u32,
@@ -135,27 +185,34 @@ pub enum AmplitudeName {
 /// How a point spread is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum MethodName {
-    /// Huygens' sum with exact distances, slow.
+    /// Huygens' sum with exact distances over as many Gauss rays as it takes, slow.
     Huygens,
     /// Polynomial wavefront, matrix product.
     Fit,
+    /// Rays at independent random places of the pupil.
+    Random,
+    /// One ray anywhere in each of so many cells of the pupil.
+    Stratified,
+    /// Rays on a square lattice of the pupil.
+    Grid,
+    /// Rays at Gauss nodes of the pupil.
+    Gauss,
+    /// Fourier transform of the pupil function of the polynomial wavefront.
+    Fft,
 }
 
-/// `trace`.
+/// `trace`. The dispersion law asked for holds where the file does not say.
 #[derive(Debug, Args)]
 pub struct TraceArgs {
+    /// The eye
+    #[command(flatten)]
+    pub eye: EyeArgs,
     /// Rays: columns px, py, pz (mm), sx, sy, sz, wavelength_nm and, if wanted, dispersion
     #[arg(long, value_name = "FILE.csv")]
     pub rays: PathBuf,
     /// Entrance pupil diameter that decides the fate
     #[arg(long, default_value_t = 3.0)]
     pub pupil_mm: f64,
-    /// Decentre of the stop
-    #[arg(long, default_value_t = 0.4, allow_hyphen_values = true)]
-    pub decentre_mm: f64,
-    /// Law of the refractive indices where the file does not say
-    #[arg(long, value_enum, default_value_t = DispersionName::Herzberger)]
-    pub dispersion: DispersionName,
     /// Hits, optical path and fate, a row a ray in the order of the rays
     #[arg(long, value_name = "FILE.csv")]
     pub out: PathBuf,

@@ -1,20 +1,21 @@
-//! An experiment as it stands in a file: read, changed by --set, its pictures uploaded.
+//! An experiment as it stands in a file: read, changed by --set, its recorded path filled in, its pictures uploaded.
 
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use photoneye_client::Client;
-use photoneye_eye::video::{Limits, png_size};
+use photoneye_eye::video::{ClipFormat, Limits, clip_info};
 use photoneye_proto::{experiment_from_json, v1};
+use photoneye_store::BlobDigest;
 use serde_json::Value;
 
 use crate::failure::{Failure, plain};
 
 /// Most bytes of an experiment; the server takes no more.
 const MAX_SPEC_BYTES: u64 = 1 << 20;
-/// Most bytes of one picture.
-const MAX_PICTURE_BYTES: u64 = 256 << 20;
+/// Most bytes of one picture or film.
+const MAX_PICTURE_BYTES: u64 = 1 << 30;
 
 /// An experiment whose pictures are still files.
 #[derive(Debug)]
@@ -49,14 +50,15 @@ impl ExperimentFile {
         }
         // Without changes the text itself is read, so that a field that is given twice is noticed.
         let text = if changes.is_empty() { text } else { value.to_string() };
-        let experiment =
+        let mut experiment =
             experiment_from_json(&text).map_err(|error| Failure::usage(format!("{name}: {error}")))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let pictures = match experiment.video.as_ref().and_then(|video| video.kind.as_ref()) {
-            Some(v1::video::Kind::Files(files)) => read_pictures(folder, &files.paths)?,
+            Some(v1::video::Kind::Files(files)) => read_pictures(folder, &files.paths, files.raw.is_some())?,
             _ => Vec::new(),
         };
         let mosaic = read_mosaic(folder, experiment.retina.as_ref())?;
+        fill_in_path(folder, &mut experiment)?;
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         Ok(Self {
             experiment,
@@ -83,9 +85,29 @@ impl ExperimentFile {
         for picture in &self.pictures {
             blobs.push(client.put_blob(picture.bytes.clone()).await?);
         }
-        self.experiment.video =
-            Some(v1::Video { kind: Some(v1::video::Kind::Clip(v1::video::Clip { blobs })) });
+        self.name_clip(blobs);
         Ok(())
+    }
+
+    /// Names the pictures by digest without uploading them and gives their bytes, for work without a server. A measured mosaic stays
+    /// a file.
+    pub fn keep(&mut self) -> Vec<Bytes> {
+        let pictures: Vec<Bytes> = self.pictures.iter().map(|picture| picture.bytes.clone()).collect();
+        if !pictures.is_empty() {
+            let blobs = pictures.iter().map(|bytes| BlobDigest::of(bytes).to_string()).collect();
+            self.name_clip(blobs);
+        }
+        pictures
+    }
+
+    /// Puts digests in the place of files.
+    fn name_clip(&mut self, blobs: Vec<String>) {
+        let (yuv, raw) = match self.experiment.video.as_ref().and_then(|video| video.kind.as_ref()) {
+            Some(v1::video::Kind::Files(files)) => (files.yuv, files.raw),
+            _ => (None, None),
+        };
+        let clip = v1::video::Clip { blobs, yuv, raw };
+        self.experiment.video = Some(v1::Video { kind: Some(v1::video::Kind::Clip(clip)) });
     }
 
     /// Says which file is meant where the server names an upload.
@@ -125,13 +147,49 @@ fn read_text(path: &Path) -> Result<String, Failure> {
     Ok(text)
 }
 
-fn read_pictures(folder: &Path, paths: &[String]) -> Result<Vec<Upload>, Failure> {
+/// Reads the CSV file of a recorded path: a header line, then time (s), x and y (arcmin).
+fn fill_in_path(folder: &Path, experiment: &mut v1::Experiment) -> Result<(), Failure> {
+    let movement = experiment.gaze.as_mut().and_then(|gaze| gaze.movement.as_mut());
+    let Some(v1::movement::Kind::Recorded(path)) = movement.and_then(|movement| movement.kind.as_mut())
+    else {
+        return Ok(());
+    };
+    let Some(file) = path.file.take() else {
+        return Ok(());
+    };
+    let file = folder.join(file);
+    let wrong =
+        |why: String| Failure::usage(format!("gaze.movement.recorded.file: {}: {why}", file.display()));
+    if !(path.t_s.is_empty() && path.x_arcmin.is_empty() && path.y_arcmin.is_empty()) {
+        return Err(wrong("excludes t_s, x_arcmin and y_arcmin".into()));
+    }
+    let length = std::fs::metadata(&file).map_err(|e| wrong(plain(&e)))?.len();
+    if length > MAX_SPEC_BYTES {
+        return Err(wrong(format!("{length} bytes, allowed are {MAX_SPEC_BYTES}")));
+    }
+    let text = std::fs::read_to_string(&file).map_err(|e| wrong(plain(&e)))?;
+    for (number, line) in (1..).zip(text.lines()) {
+        if number == 1 || line.trim().is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let cells: Vec<Option<f64>> = line.split(',').map(|cell| cell.trim().parse().ok()).collect();
+        let [Some(t_s), Some(x_arcmin), Some(y_arcmin)] = cells[..] else {
+            return Err(wrong(format!("line {number}: expected three numbers, t_s,x_arcmin,y_arcmin")));
+        };
+        path.t_s.push(t_s);
+        path.x_arcmin.push(x_arcmin);
+        path.y_arcmin.push(y_arcmin);
+    }
+    Ok(())
+}
+
+fn read_pictures(folder: &Path, paths: &[String], raw: bool) -> Result<Vec<Upload>, Failure> {
     if paths.is_empty() {
         return Err(Failure::usage("video.files.paths: names no picture"));
     }
     let read = |(i, path): (usize, &String)| {
         let path = folder.join(path);
-        read_picture(&path)
+        read_picture(&path, raw)
             .map_err(|why| Failure::usage(format!("video.files.paths[{i}]: {}: {why}", path.display())))
     };
     paths.iter().enumerate().map(read).collect()
@@ -153,13 +211,17 @@ fn read_mosaic(folder: &Path, retina: Option<&v1::Retina>) -> Result<Option<Uplo
     Ok(Some(Upload { path, bytes }))
 }
 
-fn read_picture(path: &Path) -> Result<Upload, String> {
+fn read_picture(path: &Path, raw: bool) -> Result<Upload, String> {
     let length = std::fs::metadata(path).map_err(|e| plain(&e))?.len();
     if length > MAX_PICTURE_BYTES {
         return Err(format!("{length} bytes, allowed are {MAX_PICTURE_BYTES}"));
     }
     let bytes = Bytes::from(std::fs::read(path).map_err(|e| plain(&e))?);
-    png_size(&bytes, Limits::default()).map_err(|e| e.to_string())?;
+    // What needs the display's size or the film's colours is checked by the server.
+    if !raw && !bytes.starts_with(b"YUV4MPEG2") {
+        let checked = clip_info(&bytes, &ClipFormat::default(), [0; 2], Limits::default());
+        checked.map_err(|e| e.to_string())?;
+    }
     Ok(Upload { path: path.to_owned(), bytes })
 }
 

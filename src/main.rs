@@ -3,12 +3,14 @@
 mod chart;
 mod cli;
 mod cli_optics;
+mod cli_study;
 mod commands;
 mod counts_file;
 mod experiment_file;
 mod failure;
 mod output;
 mod pictures;
+mod profile;
 mod progress;
 mod result_folder;
 mod service;

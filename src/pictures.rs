@@ -51,7 +51,11 @@ pub fn draw(folder: &Path, args: PictureArgs) -> Result<usize, Failure> {
     Ok(drawn)
 }
 
-fn read_cones(path: &Path) -> Result<ConeColumns, Failure> {
+/// The cones of a result.
+///
+/// # Errors
+/// When the file is missing or damaged.
+pub fn read_cones(path: &Path) -> Result<ConeColumns, Failure> {
     let bytes = fs::read(path).map_err(|e| Failure::usage(format!("{}: {}", path.display(), plain(&e))))?;
     read_cones_file(&bytes).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))
 }
@@ -89,9 +93,9 @@ impl Mean {
         let report: Value =
             serde_json::from_str(&fs::read_to_string(folder.join("report.json")).ok()?).ok()?;
         let spec: Experiment = serde_json::from_value(report.get("spec")?.clone()).ok()?;
-        let duration = f64::from(spec.frames) / spec.display.frame_rate_hz;
+        let frame_s = 1.0 / spec.display.frame_rate_hz;
         Some(Self {
-            gaze: Gaze::new(spec.gaze.movement, spec.display.distance_cm, duration).ok()?,
+            gaze: Gaze::new(&spec.gaze, spec.display.distance_cm, spec.frames, frame_s).ok()?,
             frame_rate_hz: spec.display.frame_rate_hz,
             px_per_deg: um_per_deg(cones)? * f64::from(picture_px) / extent_um(shapes),
             size: None,

@@ -7,13 +7,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::digest::{Digest, digest_of};
 use crate::display::Display;
-use crate::optics::{Dispersion, Side};
+use crate::optics::{Dispersion, OpticsError, Prescription, Side};
 use crate::retina::{
     CellWalls, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry, RetinaParams,
 };
+use crate::video::ClipFormat;
 
 /// Version of the counts that an experiment gives; rises whenever the same experiment gives other counts.
-pub const COUNTS_VERSION: u32 = 2;
+pub const COUNTS_VERSION: u32 = 4;
 
 /// What a user asks for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -61,6 +62,23 @@ pub struct Eye {
     pub stiles_crawford_rho10_per_mm2: f64,
     /// Standard deviation of a cone's pointing error, degrees, per axis.
     pub pointing_sd_deg: f64,
+    /// The eye's data when they are not those of the preset as they stand.
+    pub prescription: Option<Box<Prescription>>,
+    /// Whether the eye stays unaccommodated, whatever it looks at.
+    pub relaxed: bool,
+    /// Whether reflections at the surfaces are computed instead of the cornea's flat density.
+    pub reflection_losses: bool,
+    /// Light scattered in the eye; `None` leaves it out.
+    pub stray_light: Option<StrayLight>,
+}
+
+/// What decides the light scattered in the eye.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StrayLight {
+    /// Age, years.
+    pub age_years: f64,
+    /// Pigmentation of the eye: 0 black, 0.5 brown, 1 green, 1.2 light blue.
+    pub pigmentation: f64,
 }
 
 /// The cone mosaic.
@@ -99,10 +117,19 @@ pub struct Retina {
 /// What is shown.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Video {
-    /// Digests of PNG pictures of the display's size, a frame each; the last one stays.
-    Clip(Vec<String>),
+    /// Uploaded pictures.
+    Clip(Clip),
     /// A picture drawn on the spot.
     Pattern(Pattern),
+}
+
+/// Uploaded pictures: one picture a frame, or one film; the last picture stays.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Clip {
+    /// Digests of the files.
+    pub blobs: Vec<String>,
+    /// What the files' bytes mean where they do not say so.
+    pub format: ClipFormat,
 }
 
 /// Drawn pictures. Pixel values are display inputs 0 to 1.
@@ -136,6 +163,41 @@ pub enum Pattern {
         /// Red, green, blue.
         rgb: [f64; 3],
     },
+    /// Vertical stripes whose frequency grows evenly from the left edge to the right one.
+    Sweep {
+        /// Cycles per visual degree at the left edge.
+        from_cycles_per_degree: f64,
+        /// Cycles per visual degree at the right edge.
+        to_cycles_per_degree: f64,
+        /// Michelson contrast.
+        contrast: f64,
+        /// Colour of the maxima: red, green, blue.
+        rgb: [f64; 3],
+    },
+    /// Rows of Sloan letters.
+    SloanChart(SloanChart),
+}
+
+/// Rows of Sloan letters around the gaze centre.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SloanChart {
+    /// Rows from the top.
+    pub rows: Vec<ChartRow>,
+    /// Colour of the paper: red, green, blue.
+    pub paper_rgb: [f64; 3],
+    /// Colour of the letters.
+    pub ink_rgb: [f64; 3],
+    /// When given, the chart is drawn twice: in the upper half of the screen, and in the lower half on this paper.
+    pub lower_paper_rgb: Option<[f64; 3]>,
+}
+
+/// One row of letters.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ChartRow {
+    /// Letters of CDHKNORSVZ and E.
+    pub letters: String,
+    /// Width of a stroke, a fifth of a letter's height, visual minutes.
+    pub stroke_arcmin: f64,
 }
 
 /// Where the eye looks and how it moves.
@@ -145,10 +207,61 @@ pub struct Gaze {
     pub center_px: [f64; 2],
     /// Eye movement.
     pub movement: Movement,
+    /// Tremor on top of it.
+    pub tremor: Option<Tremor>,
+    /// Microsaccades on top of it.
+    pub microsaccades: Option<Microsaccades>,
+    /// Seed of everything random in the movement.
+    pub seed: u64,
+}
+
+impl Gaze {
+    /// An eye that rests on a point of the display (pixels).
+    pub fn still(center_px: [f64; 2]) -> Self {
+        Self { center_px, movement: Movement::Still, tremor: None, microsaccades: None, seed: 1 }
+    }
+}
+
+/// Small fast trembling.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Tremor {
+    /// Root mean square per axis.
+    pub rms_arcmin: f64,
+    /// Lowest frequency.
+    pub from_hz: f64,
+    /// Highest frequency.
+    pub to_hz: f64,
+}
+
+impl Default for Tremor {
+    /// 0.3 arcmin between 30 and 100 Hz (§11).
+    fn default() -> Self {
+        Self { rms_arcmin: 0.3, from_hz: 30.0, to_hz: 100.0 }
+    }
+}
+
+/// Small jumps.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Microsaccades {
+    /// Jumps per second.
+    pub rate_hz: f64,
+    /// Smallest jump.
+    pub from_arcmin: f64,
+    /// Largest jump.
+    pub to_arcmin: f64,
+    /// How long a jump takes.
+    pub duration_ms: f64,
+}
+
+impl Default for Microsaccades {
+    /// 10 arcmin to 1° in 25 ms (§11), 1.5 a second.
+    fn default() -> Self {
+        Self { rate_hz: 1.5, from_arcmin: 10.0, to_arcmin: 60.0, duration_ms: 25.0 }
+    }
 }
 
 /// Eye movement.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Movement {
     /// None.
     Still,
@@ -159,6 +272,13 @@ pub enum Movement {
         /// 0 right, 90 up.
         direction_deg: f64,
     },
+    /// A random walk after Mergenthaler & Engbert 2007.
+    Walk {
+        /// Visual angle of the walk's unit.
+        unit_arcmin: f64,
+    },
+    /// A recorded path: time (s), x right and y up (arcmin), times increasing; linear between, constant outside.
+    Recorded(Vec<[f64; 3]>),
 }
 
 /// Engines.
@@ -246,13 +366,7 @@ impl Experiment {
         self.retina.validate()?;
         self.display.validate()?;
         self.validate_video()?;
-        for (axis, value) in ["gaze.center_px[0]", "gaze.center_px[1]"].iter().zip(self.gaze.center_px) {
-            check_range(axis, value, -4096.0, 8192.0)?;
-        }
-        if let Movement::Drift { speed_arcmin_per_s, direction_deg } = self.gaze.movement {
-            check_range("gaze.movement.drift.speed_arcmin_per_s", speed_arcmin_per_s, 0.0, 60000.0)?;
-            check_range("gaze.movement.drift.direction_deg", direction_deg, -360.0, 360.0)?;
-        }
+        self.gaze.validate()?;
         if let Some(step) = self.counts.wavelength_step_nm {
             check_range("counts.settings.wavelength_step_nm", step, 1.0, 20.0)?;
         }
@@ -266,25 +380,8 @@ impl Experiment {
 
     fn validate_video(&self) -> Result<(), RangeError> {
         match &self.video {
-            Video::Clip(blobs) => check_range("video.clip.blobs", blobs.len() as f64, 1.0, 100_000.0),
-            Video::Pattern(Pattern::Uniform { rgb }) => check_rgb("video.pattern.uniform.rgb", *rgb),
-            Video::Pattern(Pattern::Grating { cycles_per_degree, contrast, orientation_deg, phase_deg }) => {
-                check_range("video.pattern.grating.cycles_per_degree", *cycles_per_degree, 0.0, 1000.0)?;
-                check_range("video.pattern.grating.contrast", *contrast, 0.0, 1.0)?;
-                check_range("video.pattern.grating.orientation_deg", *orientation_deg, -360.0, 360.0)?;
-                check_range("video.pattern.grating.phase_deg", *phase_deg, -360.0, 360.0)
-            }
-            Video::Pattern(Pattern::Checkerboard { square_px }) => {
-                check_range("video.pattern.checkerboard.square_px", f64::from(*square_px), 1.0, 4096.0)
-            }
-            Video::Pattern(Pattern::Point { at_px, rgb }) => {
-                let last = [self.display.width_px - 1, self.display.height_px - 1];
-                for axis in 0..2 {
-                    let field = format!("video.pattern.point.at_px[{axis}]");
-                    check_range(&field, f64::from(at_px[axis]), 0.0, f64::from(last[axis]))?;
-                }
-                check_rgb("video.pattern.point.rgb", *rgb)
-            }
+            Video::Clip(clip) => check_range("video.clip.blobs", clip.blobs.len() as f64, 1.0, 100_000.0),
+            Video::Pattern(pattern) => pattern.validate([self.display.width_px, self.display.height_px]),
         }
     }
 
@@ -297,11 +394,15 @@ impl Experiment {
     }
 }
 
-fn check_rgb(field: &str, rgb: [f64; 3]) -> Result<(), RangeError> {
-    (0..3).try_for_each(|i| check_range(&format!("{field}[{i}]"), rgb[i], 0.0, 1.0))
-}
-
 impl Eye {
+    /// The data of the eye.
+    ///
+    /// # Errors
+    /// [`OpticsError`] when there is no such preset.
+    pub fn prescription(&self) -> Result<Prescription, OpticsError> {
+        self.prescription.as_deref().map_or_else(|| Prescription::preset(&self.preset), |p| Ok(p.clone()))
+    }
+
     fn validate(&self) -> Result<(), RangeError> {
         check_range("eye.pupil_mm", self.pupil_mm, 0.5, 9.0)?;
         check_range("eye.pupil_decentre_mm", self.decentre_mm, 0.0, 1.0)?;
@@ -310,6 +411,10 @@ impl Eye {
         check_range("eye.macular_peak_density", self.macular_peak_density, 0.0, 2.0)?;
         check_range("eye.lens_density_scale", self.lens_density_scale, 0.0, 5.0)?;
         check_range("eye.stiles_crawford.rho_per_mm2", self.stiles_crawford_rho10_per_mm2, 0.0, 0.2)?;
+        if let Some(stray) = self.stray_light {
+            check_range("eye.stray_light.age_years", stray.age_years, 1.0, 100.0)?;
+            check_range("eye.stray_light.pigmentation", stray.pigmentation, 0.0, 1.2)?;
+        }
         check_range("eye.stiles_crawford.perturbation_deg", self.pointing_sd_deg, 0.0, 5.0)
     }
 }
@@ -375,4 +480,4 @@ impl Retina {
 }
 
 /// Widest field that is served now, visual degrees from the gaze centre.
-pub const MAX_REGION_DEG: f64 = 3.0;
+pub const MAX_REGION_DEG: f64 = 30.0;

@@ -28,8 +28,10 @@ pub enum Purpose {
     Study = 8,
     /// Cones lost at random.
     Dropout = 9,
+    /// Features of a person's eye.
+    Eye = 10,
     /// Photons of the `events` engine.
-    Events = 10,
+    Events = 11,
 }
 
 const MUL: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

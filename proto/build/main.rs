@@ -31,6 +31,8 @@ fn main() -> io::Result<()> {
     json_code(&out, &set, &bytes)?;
     tonic_prost_build::configure()
         .bytes(PACKAGE)
+        // The eye is large; without a box every future that holds an experiment is.
+        .boxed(format!("{PACKAGE}.Experiment.eye"))
         .compile_fds_with_config(set, tonic_prost_build::Config::new())
 }
 

@@ -8,7 +8,7 @@ use futures::Stream;
 use photoneye_eye::display::Display;
 use photoneye_eye::experiment::{Experiment, Video};
 use photoneye_eye::plan::{Plan, PlanError};
-use photoneye_eye::video::{Limits as PictureLimits, png_size};
+use photoneye_eye::video::{Limits as PictureLimits, clip_info};
 use photoneye_proto::{FieldError, v1};
 use photoneye_store::{BlobDigest, Blobs};
 
@@ -217,8 +217,11 @@ impl Service {
 
     /// The one way from a message to an experiment and its plan.
     async fn prepare(&self, message: &v1::Experiment) -> Result<(Experiment, Plan), Error> {
-        let experiment = spec::experiment(message)?;
-        self.check_pictures(&experiment.video, &experiment.display).await?;
+        let mut experiment = spec::experiment(message)?;
+        let film = self.check_pictures(&experiment.video, &experiment.display).await?;
+        if let (Some(frames), None) = (film, message.frames.and_then(|frames| frames.count)) {
+            experiment.frames = frames;
+        }
         self.check_mosaic(&experiment.retina).await?;
         let task = tokio::task::spawn_blocking(move || {
             let plan = photoneye_eye::plan::plan(&experiment);
@@ -232,14 +235,15 @@ impl Service {
         }
     }
 
-    /// The clip's pictures are there and of the display's size; only their headers are read as pictures.
-    async fn check_pictures(&self, video: &Video, display: &Display) -> Result<(), Error> {
-        let Video::Clip(blobs) = video else {
-            return Ok(());
+    /// The clip's files are there and of the display's size; the number of frames of a film, `None` for pictures. Only headers are read.
+    async fn check_pictures(&self, video: &Video, display: &Display) -> Result<Option<u32>, Error> {
+        let Video::Clip(clip) = video else {
+            return Ok(None);
         };
         let (width, height) = (display.width_px, display.height_px);
         let mut seen = std::collections::BTreeSet::new();
-        for (i, text) in blobs.iter().enumerate() {
+        let mut film = None;
+        for (i, text) in clip.blobs.iter().enumerate() {
             if !seen.insert(text) {
                 continue;
             }
@@ -253,16 +257,22 @@ impl Service {
                 }
                 Err(error) => return Err(error),
             };
-            let limits = PictureLimits::default();
-            let size =
-                png_size(&bytes, limits).map_err(|error| FieldError::new(path.clone(), error.to_string()))?;
-            if size != (width, height) {
-                let message =
-                    format!("the picture is {} x {} pixels, the display {width} x {height}", size.0, size.1);
+            let found = clip_info(&bytes, &clip.format, [width, height], PictureLimits::default());
+            let info = found.map_err(|error| FieldError::new(path.clone(), error.to_string()))?;
+            if (info.width, info.height) != (width, height) {
+                let message = format!(
+                    "the picture is {} x {} pixels, the display {width} x {height}",
+                    info.width, info.height
+                );
                 return Err(FieldError::new(path, message).into());
             }
+            if info.frames > 1 && clip.blobs.len() > 1 {
+                let message = format!("a film of {} frames must be the only file", info.frames);
+                return Err(FieldError::new(path, message).into());
+            }
+            film = (info.frames > 1).then_some(info.frames);
         }
-        Ok(())
+        Ok(film)
     }
 
     async fn check_limits(&self, plan: &Plan) -> Result<(), Error> {

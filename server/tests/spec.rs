@@ -9,6 +9,7 @@
 
 use photoneye_eye::display::White;
 use photoneye_eye::experiment::{Experiment, Movement, Video};
+use photoneye_eye::optics::{Dispersion, Prescription};
 use photoneye_proto::experiment_from_json;
 use photoneye_server::spec::experiment;
 use serde_json::{Value, json};
@@ -68,7 +69,7 @@ fn frames_follow_the_pictures() {
     let blob = photoneye_store::BlobDigest::of(b"").to_string();
     let read = read(&with("video", json!({"clip": {"blobs": [blob, blob]}}))).unwrap();
     assert_eq!(read.frames, 2);
-    assert!(matches!(read.video, Video::Clip(blobs) if blobs.len() == 2));
+    assert!(matches!(read.video, Video::Clip(clip) if clip.blobs.len() == 2));
 }
 
 #[test]
@@ -76,6 +77,29 @@ fn errors_name_the_field_and_what_is_allowed() {
     let cases = [
         ("eye", json!({"pupil_mm": 12}), "eye.pupil_mm: 12 is out of range, allowed is 0.5 to 9"),
         ("eye", json!({"preset": "cat"}), "eye.preset: unknown eye `cat`"),
+        ("display", json!({"preset": "oled", "contrast": 0.5}), "display.contrast: 0.5 is out of range"),
+        ("display", json!({"preset": "oled", "lag_ms": -1}), "display.lag_ms: -1 is out of range"),
+        ("display", json!({"preset": "oled", "ambient": {}}), "display.ambient.illuminance_lux: is missing"),
+        (
+            "gaze",
+            json!({"movement": {"recorded": {"t_s": [0, 1], "x_arcmin": [0], "y_arcmin": [0, 0]}}}),
+            "gaze.movement.recorded.x_arcmin: 1 values, expected 2 as in t_s",
+        ),
+        (
+            "gaze",
+            json!({"movement": {"recorded": {"t_s": [1, 1], "x_arcmin": [0, 0], "y_arcmin": [0, 0]}}}),
+            "gaze.movement.recorded.t_s[1]: 1 is out of range",
+        ),
+        (
+            "video",
+            json!({"pattern": {"sloan_chart": {"rows": [{"letters": "QED", "stroke_arcmin": 1}]}}}),
+            "video.pattern.sloan_chart.rows[0].letters: QED is out of range, allowed is 1 to 100 letters of",
+        ),
+        (
+            "video",
+            json!({"clip": {"blobs": [], "yuv": {"matrix": "BT709"}}}),
+            "video.clip.yuv.range: is missing",
+        ),
         (
             "eye",
             json!({"stiles_crawford": {"rho_per_mm2": 1}}),
@@ -141,6 +165,107 @@ fn errors_name_the_field_and_what_is_allowed() {
     }
 }
 
+#[test]
+fn an_eye_is_overridden_field_by_field_and_its_tables_whole() {
+    let own = |eye: Value| read(&with("eye", eye)).unwrap().eye;
+    assert!(own(json!({"preset": "navarro-1985", "pupil_mm": 5})).prescription.is_none());
+    let eye = own(json!({"cornea_front": {"radius_mm": 7.9}, "fovea_angle_deg": 4, "pupil_mm": 5}));
+    let data = eye.prescription.unwrap();
+    assert_eq!(
+        (data.cornea_front.radius_mm, data.cornea_front.conic, data.fovea_angle_deg),
+        (7.9, -0.26, 4.0)
+    );
+    assert_eq!(data.lens_back.radius_mm, -6.0);
+    let table = json!({"cornea": 1.376, "aqueous": 1.336, "lens": 1.42, "vitreous": 1.336,
+        "constant": 0, "linear_per_um": 0, "square_per_um2": 0});
+    let eye = own(
+        json!({"quadratic": table, "accommodation": {}, "wavefront": {"pupil_mm": 6, "coefficients_um": [0, 0, 0, 0.1]}}),
+    );
+    assert_eq!(eye.dispersion, Dispersion::Quadratic);
+    let data = eye.prescription.unwrap();
+    assert!(data.herzberger.is_none() && data.polyline.is_none() && data.wavefront.is_some());
+    let eye = own(json!({"preset": "liou-brennan-1997", "lens_gradient": {}}));
+    assert!(eye.prescription.unwrap().lens_gradient.unwrap().parts.is_empty());
+    assert_eq!((eye.decentre_mm, eye.dispersion), (0.5, Dispersion::Quadratic));
+}
+
+/// The data file of an eye is what an experiment may say of it: every preset, all inline over another one, is itself.
+#[test]
+fn every_eye_of_the_catalogue_can_be_given_inline() {
+    for name in photoneye_eye::catalog::names("eyes") {
+        let text = photoneye_eye::catalog::text("eyes", name).unwrap();
+        let mut inline: Value = serde_json::from_str(text).unwrap();
+        let fields = inline.as_object_mut().unwrap();
+        let (description, source) = (fields.remove("description"), fields.remove("source"));
+        fields.remove("stop_decentre_mm");
+        fields.entry("lens_gradient").or_insert_with(|| json!({}));
+        fields.entry("accommodation").or_insert_with(|| json!({}));
+        let read = read(&with("eye", inline)).unwrap();
+        let mut eye = *read.eye.prescription.unwrap();
+        let mut preset = Prescription::preset(name).unwrap();
+        (eye.description, eye.source) =
+            (description.unwrap().as_str().unwrap().into(), source.unwrap().as_str().unwrap().into());
+        eye.stop_decentre_mm = preset.stop_decentre_mm;
+        eye.lens_gradient = eye.lens_gradient.filter(|gradient| !gradient.parts.is_empty());
+        if preset.accommodation.is_none() {
+            preset.accommodation = eye.accommodation;
+        }
+        assert!(eye == preset, "{name}");
+    }
+}
+
+#[test]
+fn persons_sizes_and_pupils() {
+    let own = |eye: Value| read(&with("eye", eye)).unwrap().eye;
+    let length = |eye: Value| own(eye).prescription.unwrap().axial_length_mm();
+    assert!((length(json!({"axial_length_mm": 26})) - 26.0).abs() < 1e-9);
+    let person = own(json!({"person": {"seed": 4}}));
+    assert_eq!(person, own(json!({"person": {"seed": "4"}})));
+    assert_ne!(person, own(json!({"person": {"seed": 5}})));
+    let eye = own(json!({"pupil_formula": {"luminance_cd_m2": 100}, "pupil_shift_mm_per_mm": 0.02}));
+    assert!((eye.pupil_mm - 3.850).abs() < 1e-3, "{}", eye.pupil_mm);
+    assert!((eye.decentre_mm - (0.4 - 0.02 * 0.850)).abs() < 1e-4, "{}", eye.decentre_mm);
+    assert!(own(json!({"focus": {"relaxed": true}})).relaxed);
+}
+
+#[test]
+fn eyes_that_are_none_are_refused_by_field() {
+    let cases = [
+        (
+            json!({"cornea_front": {"radius_mm": 0}}),
+            "eye.cornea_front.radius_mm: 0 is out of range, allowed is 3 to 30",
+        ),
+        (json!({"lens_back": {"toric": {"radius_mm": -6}}}), "eye.lens_back.toric: missing field `conic`"),
+        (json!({"lens_back": {"curvature": -6}}), "eye.lens_back.curvature: unknown field `curvature`"),
+        (json!({"polyline": {"wavelength_nm": [500, 600]}}), "eye.polyline"),
+        (json!({"axial_length_mm": 5}), "eye.axial_length_mm: 5 is out of range, allowed is 18 to 32"),
+        (json!({"axial_length_mm": 25, "person": {}}), "eye.axial_length_mm: excludes `person`"),
+        (
+            json!({"pupil_mm": 3, "pupil_formula": {"luminance_cd_m2": 1}}),
+            "eye.pupil_mm: excludes `pupil_formula`",
+        ),
+        (json!({"pupil_formula": {}}), "eye.pupil_formula.luminance_cd_m2: is missing"),
+        (
+            json!({"pupil_formula": {"luminance_cd_m2": 1, "age_years": 5}}),
+            "eye.pupil_formula.age_years: 5 is out of range, allowed is 20 to 83",
+        ),
+        (
+            json!({"preset": "liou-brennan-1997", "dispersion": "POLYLINE"}),
+            "eye.dispersion: this eye has no table for `POLYLINE`, expected one of `QUADRATIC`",
+        ),
+        (
+            json!({"pupil_mm": 6, "wavefront": {"pupil_mm": 5, "coefficients_um": []}}),
+            "eye.pupil_mm: 6 is out of range, allowed is up to that of `wavefront`, 5",
+        ),
+        (json!({"wavefront": {"coefficients_um": [1]}}), "eye.wavefront: missing field `pupil_mm`"),
+        (json!({"pupil_shift_mm_per_mm": 1}), "eye.pupil_shift_mm_per_mm: 1 is out of range"),
+    ];
+    for (value, expected) in cases {
+        let error = read(&with("eye", value.clone())).unwrap_err();
+        assert!(error.starts_with(expected), "{value} gave: {error}");
+    }
+}
+
 /// Over gRPC numbers may come that JSON cannot say.
 #[test]
 fn what_only_binary_messages_can_say_is_refused_too() {
@@ -153,6 +278,12 @@ fn what_only_binary_messages_can_say_is_refused_too() {
     assert!(nan.starts_with("eye.pupil_mm: NaN is out of range"), "{nan}");
     let infinite = message(&|m| m.display.as_mut().unwrap().distance_cm = Some(f64::INFINITY));
     assert!(infinite.starts_with("display.distance_cm: inf"), "{infinite}");
+    let surface = photoneye_proto::v1::Surface { radius_mm: Some(f64::NAN), ..Default::default() };
+    let radius = message(&|m| m.eye.as_mut().unwrap().cornea_front = Some(surface));
+    assert!(
+        radius.starts_with("eye.cornea_front.radius_mm: ") && radius.ends_with("is not a number"),
+        "{radius}"
+    );
     let side = message(&|m| m.eye.as_mut().unwrap().side = Some(9));
     assert_eq!(side, "eye.side: unknown variant `9`, expected one of `RIGHT`, `LEFT`");
 }

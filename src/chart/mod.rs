@@ -1,7 +1,7 @@
 //! Charts for scientific reports: panels with linear or logarithmic axes on one page, drawn into an RGB picture.
 //!
 //! `ticks` chooses numbers, `scale` places values on an axis, `canvas` draws shapes and letters, `panel` draws one chart with
-//! them. Shapes are antialiased at twice the final size; letters come ready-made at their final size from a font inside the
+//! them, `sheet` square pictures side by side. Shapes are antialiased at twice the final size; letters come ready-made at their final size from a font inside the
 //! program, so no file or library of the system is needed.
 //!
 //! Points that are not finite, or not positive on a logarithmic axis, are left out and part their line. A chart without
@@ -10,12 +10,14 @@
 mod canvas;
 mod panel;
 mod scale;
+mod sheet;
 mod text;
 mod ticks;
 
 use photoneye_eye::picture::RgbImage;
 
 pub use canvas::{Canvas, Colour, Rect};
+pub use sheet::{Content, Tile, sheet};
 pub use text::{Font, width_of};
 pub use ticks::number;
 

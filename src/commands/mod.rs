@@ -1,6 +1,8 @@
 //! One file a command.
 
 mod cancel;
+mod displays;
+mod eyes;
 mod jobs;
 mod plan;
 mod psf;
@@ -9,6 +11,7 @@ mod results;
 mod retina;
 mod run;
 mod serve;
+mod study;
 mod submit;
 mod trace;
 mod watch;
@@ -46,9 +49,12 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Results(args) => block_on(results::run(context, args)),
         Command::Cancel(args) => block_on(cancel::run(context, args)),
         Command::Render(args) => render::run(&context, &args),
+        Command::Displays(args) => displays::run(&context, &args),
         Command::Retina(args) => retina::run(&context, &args),
+        Command::Eyes => eyes::run(&context),
         Command::Psf(args) => psf::run(&context, &args),
         Command::Trace(args) => trace::run(&context, &args),
+        Command::Study(args) => study::run(&context, &args),
     }
 }
 

@@ -1,12 +1,13 @@
 //! `trace`: given rays through the unaccommodated eye.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use glam::DVec3;
-use photoneye_eye::optics::{Dispersion, EyeState, Prescription, Ray, RayFate, SchematicEye, Side, Traced};
+use photoneye_eye::optics::{Dispersion, EyeState, Ray, RayFate, SchematicEye, Traced};
 
 use super::Context;
-use super::psf::EYE;
+use super::eyes::asked_for;
 use crate::cli_optics::TraceArgs;
 use crate::failure::{Failure, plain};
 use crate::output;
@@ -29,35 +30,36 @@ pub fn run(context: &Context, args: &TraceArgs) -> Result<(), Failure> {
     let name = args.rays.display();
     let text =
         std::fs::read_to_string(&args.rays).map_err(|e| Failure::usage(format!("{name}: {}", plain(&e))))?;
-    let rays = read(&text, args.dispersion.into()).map_err(|why| Failure::usage(format!("{name}: {why}")))?;
-    let prescription = Prescription::preset(EYE).map_err(Failure::failed)?;
-    let eye = |dispersion| {
-        let state = EyeState {
-            pupil_mm: args.pupil_mm,
-            decentre_mm: args.decentre_mm,
-            accommodation_a: 0.0,
-            dispersion,
-            side: Side::Right,
-        };
-        SchematicEye::new(&prescription, &state).map_err(Failure::usage)
-    };
-    let (polyline, herzberger) = (eye(Dispersion::Polyline)?, eye(Dispersion::Herzberger)?);
+    let (prescription, state) = asked_for(&args.eye)?;
+    let rays = read(&text, state.dispersion).map_err(|why| Failure::usage(format!("{name}: {why}")))?;
+    // An eye for each law that the file names.
+    let mut eyes: Vec<(Dispersion, SchematicEye)> = Vec::new();
     let mut table = format!("{HEADER}\n");
-    let mut arrived = 0;
+    let mut fates: BTreeMap<String, usize> = BTreeMap::new();
     for given in &rays {
-        let eye = match given.dispersion {
-            Dispersion::Polyline => &polyline,
-            Dispersion::Herzberger => &herzberger,
-        };
+        let asked = |(law, _): &&(Dispersion, SchematicEye)| *law == given.dispersion;
+        if !eyes.iter().any(|eye| asked(&eye)) {
+            let state = EyeState { pupil_mm: args.pupil_mm, dispersion: given.dispersion, ..state };
+            let eye = SchematicEye::new(&prescription, &state).map_err(Failure::usage)?;
+            eyes.push((given.dispersion, eye));
+        }
+        let Some((_, eye)) = eyes.iter().find(asked) else { continue };
         let traced = eye.trace(&given.ray, given.wavelength_nm);
-        arrived += usize::from(traced.fate == RayFate::Arrived);
+        *fates.entry(fate(traced.fate)).or_default() += 1;
         row(&mut table, given, &eye.indices(given.wavelength_nm), &traced);
     }
     write_file(&args.out, table.as_bytes())?;
+    let arrived = fates.get(&fate(RayFate::Arrived)).copied().unwrap_or(0);
     if context.json {
-        return output::json(&serde_json::json!({"rays": rays.len(), "arrived": arrived, "out": args.out}));
+        return output::json(
+            &serde_json::json!({"rays": rays.len(), "arrived": arrived, "fates": fates, "out": args.out}),
+        );
     }
-    output::line(format_args!("{} ray(s), {arrived} reach the retina through the pupil", rays.len()))
+    output::line(format_args!("{} ray(s), {arrived} reach the retina through the pupil", rays.len()))?;
+    for (fate, count) in fates.iter().filter(|(name, _)| **name != fate(RayFate::Arrived)) {
+        output::line(format_args!("  {count} {fate}"))?;
+    }
+    Ok(())
 }
 
 /// Reads the rays by the names in the first line.
@@ -94,7 +96,10 @@ fn read(text: &str, default: Dispersion) -> Result<Vec<Given>, String> {
             "" => default,
             "polyline" => Dispersion::Polyline,
             "herzberger" => Dispersion::Herzberger,
-            other => return Err(at(format!("dispersion: `{other}` is not polyline or herzberger"))),
+            "quadratic" => Dispersion::Quadratic,
+            other => {
+                return Err(at(format!("dispersion: `{other}` is not polyline, herzberger or quadratic")));
+            }
         };
         rays.push(Given { ray, wavelength_nm, dispersion });
     }
@@ -103,11 +108,7 @@ fn read(text: &str, default: Dispersion) -> Result<Vec<Given>, String> {
 
 /// Writes one row; a surface that was not met leaves its cells empty.
 fn row(table: &mut String, given: &Given, indices: &[f64; 5], traced: &Traced) {
-    let dispersion = match given.dispersion {
-        Dispersion::Polyline => "polyline",
-        Dispersion::Herzberger => "herzberger",
-    };
-    let mut cells = vec![given.wavelength_nm.to_string(), dispersion.to_owned()];
+    let mut cells = vec![given.wavelength_nm.to_string(), given.dispersion.name().to_lowercase()];
     cells.extend(indices[1..].iter().map(f64::to_string));
     let mut point = |point: Option<DVec3>| match point {
         Some(p) => cells.extend(p.to_array().map(|value| value.to_string())),

@@ -7,4 +7,6 @@ mod optics;
 mod rest;
 mod retina;
 mod run;
+mod study;
 mod support;
+mod video;

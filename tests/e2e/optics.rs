@@ -34,6 +34,34 @@ fn a_point_spread_is_an_array_with_its_figures() {
 }
 
 #[test]
+fn eyes_are_listed_and_can_be_asked_for() {
+    let place = tempdir().unwrap();
+    let said: Value =
+        serde_json::from_str(&succeed(photoneye(place.path()).args(["eyes", "--json"]))).unwrap();
+    let power = |name: &str| {
+        let eyes = said["eyes"].as_array().unwrap();
+        eyes.iter().find(|eye| eye["name"] == name).unwrap()["power_d"].as_f64().unwrap()
+    };
+    assert!((power("liou-brennan-1997") - 60.35).abs() < 0.01);
+    assert!(succeed(photoneye(place.path()).arg("eyes")).contains("navarro-1985"));
+    let args = ["psf", "--json", "--side", "left", "--samples", "8", "--out", "p.npy", "--eye"];
+    let strehl = |eye: &str| -> f64 {
+        let said = succeed(photoneye(place.path()).args(args).arg(eye));
+        serde_json::from_str::<Value>(&said).unwrap()["strehl"].as_f64().unwrap()
+    };
+    let liou = strehl("liou-brennan-1997");
+    assert!((0.7..1.0).contains(&liou), "{liou}");
+    // An eye of one's own is a file of the same form.
+    let text = photoneye_eye::catalog::text("eyes", "liou-brennan-1997").unwrap();
+    fs::write(place.path().join("mine.json"), text).unwrap();
+    assert!((strehl("mine.json") - liou).abs() < 1e-15);
+    for eye in ["cyclops", "none.json"] {
+        let wrong = photoneye(place.path()).args(args).arg(eye).output().unwrap();
+        assert_eq!(wrong.status.code(), Some(2), "{eye}");
+    }
+}
+
+#[test]
 fn rays_come_out_in_their_order_with_their_fate() {
     let place = tempdir().unwrap();
     let rays = "px,py,pz,sx,sy,sz,wavelength_nm,dispersion\n\

@@ -8,6 +8,7 @@ mod build;
 mod cache;
 mod lease;
 mod memory;
+mod pictures;
 mod remote;
 mod scene;
 mod shard;

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
-use photoneye_eye::experiment::{Experiment, Video};
+use photoneye_eye::experiment::{Clip, Experiment, Video};
 use photoneye_eye::exposure::{Exposure, ExposureError};
 use photoneye_proto::v1;
 use photoneye_store::BlobDigest;
@@ -21,8 +21,10 @@ pub(crate) struct Scene {
     pub(crate) exposure: Exposure,
     /// Type of each cone of the tile: 0 L, 1 M, 2 S.
     pub(crate) cone_types: Vec<u8>,
-    /// Digests of the pictures; empty for a drawn pattern.
-    pub(crate) clip: Vec<String>,
+    /// The files; `None` for a drawn pattern.
+    pub(crate) clip: Option<Clip>,
+    /// Columns and rows of the display.
+    pub(crate) size_px: [u32; 2],
 }
 
 type Slot = Arc<OnceCell<Arc<Scene>>>;
@@ -84,13 +86,14 @@ async fn prepare(shared: &Shared, lease: &Lease, shard: &v1::Shard) -> Result<Ar
         lease.check()?;
     }
     let clip = match &experiment.video {
-        Video::Clip(pictures) => pictures.clone(),
-        Video::Pattern(_) => Vec::new(),
+        Video::Clip(clip) => Some(clip.clone()),
+        Video::Pattern(_) => None,
     };
+    let size_px = [experiment.display.width_px, experiment.display.height_px];
     blocking(move || {
         let exposure = Exposure::new(&experiment, &artifacts).map_err(model_error)?;
         let cone_types = exposure.cone_types();
-        Ok(Arc::new(Scene { exposure, cone_types, clip }))
+        Ok(Arc::new(Scene { exposure, cone_types, clip, size_px }))
     })
     .await
 }

@@ -7,11 +7,12 @@ use std::time::Instant;
 use bytes::Bytes;
 use photoneye_eye::exposure::{Frame, FrameCounts};
 use photoneye_eye::report::WorkReport;
-use photoneye_eye::video::{Limits, Picture, decode_png};
+use photoneye_eye::video::Picture;
 use photoneye_proto::v1;
 use photoneye_store::table::{Counts, counts_stream};
 
 use crate::lease::{Done, Lease};
+use crate::pictures::Pictures;
 use crate::scene::{Scene, model_error};
 use crate::{Shared, WorkError, blocking, memory};
 
@@ -46,10 +47,10 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
         lease.progress(f64::from(done) / f64::from(shard.frame_count()), &format!("frame {index}"));
 
         // Count the frame.
-        let picture = pictures.of_frame(shared, &scene, index).await?;
+        let shown = pictures.of_frame(shared, &scene, index).await?;
         let started = Instant::now();
         let (tile, first_cone, scene) = (shard.tile(), shard.first_cone(), Arc::clone(&scene));
-        let chunk = blocking(move || count(&scene, index, picture.as_deref(), tile, first_cone)).await?;
+        let chunk = blocking(move || count(&scene, index, &shown, tile, first_cone)).await?;
         *report.seconds.entry("count".to_owned()).or_default() += started.elapsed().as_secs_f64();
 
         // Hand the chunk over.
@@ -71,11 +72,13 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
 fn count(
     scene: &Scene,
     index: u32,
-    picture: Option<&Picture>,
+    shown: &[Arc<Picture>],
     tile: u32,
     first_cone: u64,
 ) -> Result<Chunk, WorkError> {
-    let frame = scene.exposure.frame(index, picture).map_err(model_error)?;
+    let pictures: Vec<&Picture> = shown.iter().map(AsRef::as_ref).collect();
+    let earlier = pictures.get(1..).unwrap_or_default();
+    let frame = scene.exposure.frame_after(index, pictures.first().copied(), earlier).map_err(model_error)?;
     let counts = match &frame.counts {
         FrameCounts::Counts(counts) => Counts::U32(counts),
         FrameCounts::Means(means) => Counts::F32(means),
@@ -111,40 +114,6 @@ fn tell(report: &mut WorkReport, frame: &Frame, summary: &Summary) {
     report.cones = summary.cones;
     for i in 0..3 {
         report.counted[i] += summary.sum[i];
-    }
-}
-
-/// The last decoded picture: consecutive frames often show the same.
-#[derive(Default)]
-struct Pictures {
-    last: Option<(String, Arc<Picture>)>,
-}
-
-impl Pictures {
-    /// The picture of a frame; when there are fewer pictures than frames, the last one stays.
-    async fn of_frame(
-        &mut self,
-        shared: &Shared,
-        scene: &Scene,
-        index: u32,
-    ) -> Result<Option<Arc<Picture>>, WorkError> {
-        let Some(digest) = scene.clip.get(index as usize).or(scene.clip.last()) else {
-            return Ok(None);
-        };
-        if let Some((last, picture)) = &self.last
-            && last == digest
-        {
-            return Ok(Some(Arc::clone(picture)));
-        }
-        let bytes = shared.cache.blob(digest).await?;
-        let name = digest.clone();
-        let picture = blocking(move || {
-            let decoded = decode_png(&bytes, Limits::default());
-            decoded.map_err(|error| WorkError::Model(format!("picture {name}: {error}")))
-        });
-        let picture = Arc::new(picture.await?);
-        self.last = Some((digest.clone(), Arc::clone(&picture)));
-        Ok(Some(picture))
     }
 }
 

@@ -4,7 +4,7 @@
 //! 2πLA (uniform over the half space); a flux of Φ lumens of the whole screen is shared evenly. On axis a source of flux Φ has
 //! the intensity Φ/π or Φ/2π; the pupil of area P at distance d takes P/d² of it (§6).
 
-use super::{Channel, Display, EmissionLaw, White};
+use super::{Channel, Display, EmissionLaw, Waveform, White};
 use crate::photometry::{luminous_flux_per_power, photons_per_joule};
 use crate::spectrum::Spectrum;
 
@@ -29,8 +29,10 @@ pub struct Emitter {
     pub photons: Vec<PhotonSample>,
     /// Rectangles in pixel units with the misregistration in them, each with its share of the light (by area).
     pub rects: Vec<([f64; 4], f64)>,
-    /// Part of the frame during which it is lit.
-    pub lit: [f64; 2],
+    /// Standard deviation of the Gaussian that blurs the rectangles, pixels.
+    pub spot_sd_px: f64,
+    /// When it gives its light.
+    pub waveform: Waveform,
 }
 
 impl Emitter {
@@ -73,17 +75,31 @@ pub fn pupil_share_at(law: EmissionLaw, pupil_cm2: f64, distance_cm: f64) -> f64
 pub fn emitters(display: &Display) -> Result<Vec<Emitter>, String> {
     let spectra: Vec<_> = display.primaries.iter().map(|p| p.spectrum.samples()).collect();
     let mut lumens_of_white = 0.0;
+    let mut lumens_per_watt = Vec::with_capacity(spectra.len());
     for (primary, samples) in display.primaries.iter().zip(&spectra) {
-        lumens_of_white += primary.power * luminous_flux_per_power(samples)?;
+        let lumens = luminous_flux_per_power(samples)?;
+        if primary.channel != Channel::Room {
+            lumens_of_white += primary.power * lumens;
+        }
+        lumens_per_watt.push(lumens);
     }
     let pixel_lumens = display.pixel_lumens();
+    let room_unseen =
+        |(p, lumens): (&super::Primary, &f64)| p.channel == Channel::Room && p.power > 0.0 && *lumens <= 0.0;
+    if display.primaries.iter().zip(&lumens_per_watt).any(room_unseen) {
+        return Err("display.ambient.spectrum: it holds nothing that the luminous efficiency weighs".into());
+    }
     if lumens_of_white <= 0.0 && pixel_lumens > 0.0 {
         return Err("display.primaries: they emit nothing that the luminous efficiency weighs, so no luminance can be reached".into());
     }
     let scale = if pixel_lumens > 0.0 { pixel_lumens / lumens_of_white } else { 0.0 };
     let seconds = 1.0 / display.frame_rate_hz;
-    let lower = |(primary, samples): (&super::Primary, &Vec<crate::spectrum::Sample>)| {
-        let watts = scale * primary.power;
+    let lower = |((primary, samples), lumens): ((&super::Primary, &Vec<crate::spectrum::Sample>), &f64)| {
+        let watts = match primary.channel {
+            Channel::Room if primary.power > 0.0 => display.lumens_of(primary.power) / lumens,
+            Channel::Room => 0.0,
+            _ => scale * primary.power,
+        };
         let photons = samples
             .iter()
             .map(|s| PhotonSample { nm: s.nm, emitted: watts * s.power * seconds * photons_per_joule(s.nm) })
@@ -95,19 +111,27 @@ pub fn emitters(display: &Display) -> Result<Vec<Emitter>, String> {
             .iter()
             .map(|[x0, y0, x1, y1]| ([x0 + dx, y0 + dy, x1 + dx, y1 + dy], (x1 - x0) * (y1 - y0) / area))
             .collect();
-        Emitter { channel: primary.channel, photons, rects, lit: primary.lit }
+        let (spot_sd_px, waveform) = (primary.spot_sd_px, primary.waveform.clone());
+        Emitter { channel: primary.channel, photons, rects, spot_sd_px, waveform }
     };
-    Ok(display.primaries.iter().zip(&spectra).map(lower).collect())
+    Ok(display.primaries.iter().zip(&spectra).zip(&lumens_per_watt).map(lower).collect())
 }
 
 impl Display {
     /// Luminous flux of one fully white pixel, lm.
     fn pixel_lumens(&self) -> f64 {
+        match self.white {
+            White::LuminanceCdM2(luminance) => self.lumens_of(luminance),
+            White::Lumens(flux) => flux / (f64::from(self.width_px) * f64::from(self.height_px)),
+        }
+    }
+
+    /// Luminous flux of one pixel of a luminance (cd/m²), lm.
+    fn lumens_of(&self, luminance: f64) -> f64 {
         let area_m2 = (self.pixel_pitch_cm / 100.0).powi(2);
-        match (self.white, self.emission_law) {
-            (White::LuminanceCdM2(l), EmissionLaw::Lambertian) => std::f64::consts::PI * l * area_m2,
-            (White::LuminanceCdM2(l), EmissionLaw::Uniform) => std::f64::consts::TAU * l * area_m2,
-            (White::Lumens(flux), _) => flux / (f64::from(self.width_px) * f64::from(self.height_px)),
+        match self.emission_law {
+            EmissionLaw::Lambertian => std::f64::consts::PI * luminance * area_m2,
+            EmissionLaw::Uniform => std::f64::consts::TAU * luminance * area_m2,
         }
     }
 }

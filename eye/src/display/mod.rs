@@ -1,13 +1,17 @@
 //! Displays (§7): a device is a list of primaries; lowered once to flat emitters, so that no kernel knows a device.
 //!
-//! A primary is a set of rectangles inside the pixel, a spectrum, a waveform inside the frame and a misregistration offset.
+//! A primary is a set of rectangles inside the pixel, a spectrum, a waveform inside the frame, a spot and a misregistration offset.
 //! Pixel units: x to the right, y down, 0 to 1 across a pixel.
 
 mod emitter;
+mod panel;
+mod waveform;
 
 use serde::{Deserialize, Serialize};
 
 pub use emitter::{Emitter, PhotonSample, emitters, photon_shares, pupil_share, pupil_share_at};
+pub use panel::{Levels, Panel, Place, step, stepped};
+pub use waveform::{FORGOTTEN, MAX_HISTORY, Part, Timing, Waveform, light_until};
 
 use crate::experiment::{RangeError, check_range};
 use crate::spectrum::Spectrum;
@@ -29,6 +33,10 @@ pub struct Display {
     pub frame_rate_hz: f64,
     /// From pixel value to relative light.
     pub transfer: Transfer,
+    /// Light of a black pixel over that of a white one, 0 to 1.
+    pub black: f64,
+    /// What stands between pixel values and light.
+    pub panel: Panel,
     /// How light leaves the screen.
     pub emission_law: EmissionLaw,
     /// The colours.
@@ -107,6 +115,8 @@ pub enum Channel {
     Blue,
     /// The mean light of the three.
     White,
+    /// Nothing: light that the screen reflects, always on.
+    Room,
 }
 
 /// One colour of a display.
@@ -116,14 +126,16 @@ pub struct Primary {
     pub channel: Channel,
     /// Radiant power against wavelength, relative between the primaries of a display.
     pub spectrum: Spectrum,
-    /// Factor on the spectrum.
+    /// Factor on the spectrum; of [`Channel::Room`] the luminance, mean over the pixel pitch, cd/m².
     pub power: f64,
     /// Light-emitting rectangles `[x0, y0, x1, y1]`.
     pub rects: Vec<[f64; 4]>,
     /// Misregistration, pixel pitches.
     pub offset_px: [f64; 2],
-    /// Part of the frame `[start, end]` during which it is lit.
-    pub lit: [f64; 2],
+    /// Standard deviation of the Gaussian spot that the rectangles are blurred with, pixel pitches.
+    pub spot_sd_px: f64,
+    /// When in the frame it gives its light.
+    pub waveform: Waveform,
 }
 
 impl Display {
@@ -145,9 +157,64 @@ impl Display {
             return Err(RangeError::new("display.primaries", self.primaries.len(), "1 to 8 primaries"));
         }
         for (k, primary) in self.primaries.iter().enumerate() {
-            primary.validate(&format!("display.primaries[{k}]"))?;
+            primary.validate(&format!("display.primaries[{k}]"), self.frame_rate_hz)?;
+        }
+        if !(0.0..=1.0).contains(&self.black) {
+            return Err(RangeError::new("display.contrast", 1.0 / self.black, "1 to 1e9"));
+        }
+        self.panel.validate()?;
+        self.validate_time()
+    }
+
+    /// Combinations of panel and waveforms that have no meaning, and memories that are too long.
+    fn validate_time(&self) -> Result<(), RangeError> {
+        let planes = matches!(self.panel.levels, Levels::Planes { .. });
+        for (k, primary) in self.primaries.iter().enumerate() {
+            let path = format!("display.primaries[{k}].waveform");
+            let phosphor = matches!(primary.waveform, Waveform::Phosphor { .. });
+            if phosphor && (planes || self.panel.lag_ms > 0.0) {
+                let allowed = "no phosphor behind bit planes or pixels that settle slowly";
+                return Err(RangeError::new(&path, "phosphor", allowed));
+            }
+            let timing = primary.waveform.timing(0, 1.0 / self.frame_rate_hz, self.panel.lag_ms);
+            if timing.history() > MAX_HISTORY {
+                let field = if phosphor { path } else { "display.lag_ms".into() };
+                let value = self.panel.lag_ms;
+                let allowed = format!("a memory of at most {MAX_HISTORY} frames");
+                return Err(RangeError::new(&field, value, &allowed));
+            }
+        }
+        if planes && self.panel.lag_ms > 0.0 {
+            return Err(RangeError::new("display.lag_ms", self.panel.lag_ms, "0 with bit planes"));
         }
         Ok(())
+    }
+
+    /// Light of a channel (0 to 1) that a pixel is told to give, in the panel's levels and above its black.
+    pub fn light(&self, channel: Channel, rgb: &[f32], place: Place) -> f64 {
+        if channel == Channel::Room {
+            return 1.0;
+        }
+        self.black + (1.0 - self.black) * self.driven(channel, rgb, place)
+    }
+
+    /// As [`Display::light`], above black.
+    pub fn driven(&self, channel: Channel, rgb: &[f32], place: Place) -> f64 {
+        let light = |i: usize| {
+            let value = f64::from(rgb[i]).clamp(0.0, 1.0);
+            match self.panel.levels {
+                Levels::Continuous => self.transfer.light(value),
+                Levels::Values { bits, dither } => self.transfer.light(stepped(value, bits, dither, place)),
+                Levels::Planes { bits, dither } => stepped(self.transfer.light(value), bits, dither, place),
+            }
+        };
+        match channel {
+            Channel::Red => light(0),
+            Channel::Green => light(1),
+            Channel::Blue => light(2),
+            Channel::White => (light(0) + light(1) + light(2)) / 3.0,
+            Channel::Room => 0.0,
+        }
     }
 
     /// Angle of one pixel pitch at the gaze centre, radians.
@@ -157,7 +224,7 @@ impl Display {
 }
 
 impl Primary {
-    fn validate(&self, path: &str) -> Result<(), RangeError> {
+    fn validate(&self, path: &str, frame_rate_hz: f64) -> Result<(), RangeError> {
         check_range(&format!("{path}.power"), self.power, 0.0, 1e9)?;
         if self.rects.is_empty() || self.rects.len() > 16 {
             return Err(RangeError::new(&format!("{path}.rects"), self.rects.len(), "1 to 16 rectangles"));
@@ -170,8 +237,8 @@ impl Primary {
         }
         check_range(&format!("{path}.offset_px.x"), self.offset_px[0], -10.0, 10.0)?;
         check_range(&format!("{path}.offset_px.y"), self.offset_px[1], -10.0, 10.0)?;
-        check_range(&format!("{path}.waveform.pulse.start"), self.lit[0], 0.0, 1.0)?;
-        check_range(&format!("{path}.waveform.pulse.end"), self.lit[1], self.lit[0] + 1e-6, 1.0)?;
+        check_range(&format!("{path}.spot_sd_px"), self.spot_sd_px, 0.0, 10.0)?;
+        self.waveform.validate(&format!("{path}.waveform"), frame_rate_hz)?;
         self.spectrum.validate(&format!("{path}.spectrum"))
     }
 }

@@ -1,17 +1,18 @@
 //! The ledger of photons: every photon that a frame emits has one fate, and the fates add up to the emission.
 //!
 //! Sums are over pixels for what happens before the cones and over cones for the rest; what reached the retina and entered no
-//! simulated aperture is "between cones", which holds the light beyond the patch too.
+//! simulated aperture is "between cones", which holds the light beyond the patch too. Of several result tiles the first one accounts
+//! for the screen; the others move what their cones caught out of "between cones".
 
 use glam::DVec2;
 
 use super::cones::{ConeTable, slant_factor};
 use super::expected::Means;
 use super::inputs::Inputs;
-use super::source::{Projector, relative_light};
+use super::light::{Shown, courses, frame_light};
+use super::source::Projector;
 use crate::media::MACULA_EDGE_DEG;
 use crate::report::PhotonBudget;
-use crate::video::Picture;
 
 /// Steps of eccentricity in the table of the macula.
 const STEPS: usize = 100;
@@ -66,8 +67,10 @@ impl Ledger {
             .collect();
         let display = &projector.display;
         let per_px = display.pixel_pitch_cm / display.distance_cm;
-        let mut pixels = Vec::with_capacity(display.width_px as usize * display.height_px as usize);
-        for row in 0..display.height_px {
+        // The screen's light is accounted for once, with the first tile; sums over tiles are exact.
+        let rows = if inputs.first_tile { display.height_px } else { 0 };
+        let mut pixels = Vec::with_capacity(display.width_px as usize * rows as usize);
+        for row in 0..rows {
             for column in 0..display.width_px {
                 let from_centre =
                     DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5) - DVec2::from_array(centre_px);
@@ -83,7 +86,7 @@ impl Ledger {
     pub fn budget(
         &self,
         projector: &Projector,
-        picture: &Picture,
+        shown: &Shown,
         cones: &ConeTable,
         means: &Means,
     ) -> PhotonBudget {
@@ -91,8 +94,11 @@ impl Ledger {
         let mut reached = 0.0;
         for (emitter, shares) in projector.emitters.iter().zip(&self.shares) {
             let per_pixel = emitter.emitted();
-            for (rgb, (slant, ecc_deg)) in picture.rgb.chunks_exact(3).zip(&self.pixels) {
-                let emitted = per_pixel * relative_light(&projector.display, emitter.channel, rgb);
+            let display = &projector.display;
+            let courses = courses(emitter, display, shown.index);
+            for (i, (slant, ecc_deg)) in (0_u32..).zip(&self.pixels) {
+                let at = [i % display.width_px, i / display.width_px];
+                let emitted = per_pixel * frame_light(display, emitter, &courses, shown, at);
                 let entered = emitted * projector.pupil_share * slant;
                 let macula = entered * interpolate(&shares.macula, ecc_deg / MACULA_EDGE_DEG);
                 budget.emitted += emitted;
@@ -103,11 +109,8 @@ impl Ledger {
                 reached += entered * (1.0 - shares.cornea - shares.lens) - macula;
             }
         }
-        let mut arrived = 0.0;
-        let mut guided = 0.0;
-        for ((cone, mean), arriving) in cones.cones.iter().zip(&means.isomerized).zip(&means.arriving) {
-            arrived += arriving;
-            guided += arriving * cone.pointing;
+        let Means { arrived, guided, .. } = *means;
+        for (cone, mean) in cones.cones.iter().zip(&means.isomerized) {
             budget.isomerized[cone.cone_type as usize] += mean;
         }
         let isomerized: f64 = budget.isomerized.iter().sum();

@@ -14,6 +14,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 use rustfft::num_complex::{Complex32, Complex64};
 
+use super::arriving::ConeSum;
 use super::cones::{ConeTable, MappedCone};
 use super::grid::{Frequency, picture_spectrum, two_images};
 use super::inputs::Inputs;
@@ -53,10 +54,26 @@ impl Settings {
 pub struct Means {
     /// Isomerizations by cone.
     pub isomerized: Vec<f64>,
-    /// Photons that arrive inside each aperture (with the pupil's apodization in them).
-    pub arriving: Vec<f64>,
+    /// Photons that arrive inside all apertures (with the pupil's apodization in them).
+    pub arrived: f64,
+    /// The same after the cones' pointing errors.
+    pub guided: f64,
     /// Cones whose mean came out below 0 (rounding, ringing) and was set to 0.
     pub clamped: u64,
+}
+
+/// One basis image.
+pub struct BasisImage {
+    kind: usize,
+    /// `[primary][frequency]`.
+    pub kernels: Vec<Vec<Complex32>>,
+}
+
+/// The weights of all cones on the grid.
+#[derive(Default)]
+pub struct Stencils {
+    stencils: Vec<Stencil>,
+    weights: Vec<f32>,
 }
 
 struct Stencil {
@@ -73,14 +90,14 @@ pub struct Expected {
     pixels: Vec<Vec<Complex64>>,
     /// Whether images are transformed in single precision.
     single: bool,
-    /// (kind, `[primary][frequency]`) of each basis image.
-    images: Vec<(usize, Vec<Vec<Complex32>>)>,
-    stencils: Vec<Stencil>,
-    weights: Vec<f32>,
-    /// By cone: coefficients of its own kind's images, then of the arriving images.
+    /// Images of isomerizations, those of a kind together.
+    images: Vec<BasisImage>,
+    stencils: Stencils,
+    /// By cone: coefficients of its kind's images, with the cone's own factor in them.
     coefficients: Vec<Vec<f64>>,
-    factors: Vec<[f64; 2]>,
     kinds: Vec<usize>,
+    arrived: ConeSum,
+    guided: ConeSum,
 }
 
 impl Expected {
@@ -91,39 +108,35 @@ impl Expected {
         let spread = Spread::new(settings.spread_width, 1.6);
         let frequencies = kept_frequencies(&scene);
         let pixels = pixel_transforms(&scene, &spread, &frequencies, &projector.emitters);
-        let images = basis_images(&scene, kernels, &frequencies, cones);
-        let per_px = scene.samples_per_px();
-        let gathered: Vec<_> = cones
-            .cones
-            .par_iter()
-            .map(|cone| {
-                // Positions in samples, areas in pixels.
-                let nodes: Vec<_> =
-                    polygon_nodes(&cone.polygon_px).into_iter().map(|(p, w)| (p * per_px, w)).collect();
-                spread.weights(&nodes, scene.samples)
-            })
-            .collect();
-        let mut weights = Vec::new();
-        let stencils = gathered
-            .into_iter()
-            .map(|w| {
-                let offset = weights.len();
-                weights.extend(w.values);
-                Stencil { first: w.first, size: w.size, offset }
-            })
-            .collect();
-        let coefficients = cones.cones.par_iter().map(|cone| coefficients_of(kernels, cone)).collect();
+        let mut images = basis_images(&scene, kernels, &frequencies, cones);
+        let arriving = images.split_off(images.iter().take_while(|image| image.kind != ARRIVING).count());
+        let stencils = Stencils::new(&scene, &spread, cones);
+        let of_cones = |kind: &(dyn Fn(&MappedCone) -> usize + Sync),
+                        factor: &(dyn Fn(&MappedCone) -> f64 + Sync)| {
+            let of_cone = |cone: &MappedCone| {
+                let own = kernels.coefficients(kind(cone), cone.um, cone.ecc_deg);
+                own.into_iter().map(|c| c * factor(cone)).collect()
+            };
+            cones.cones.par_iter().map(of_cone).collect::<Vec<Vec<f64>>>()
+        };
+        let coefficients = of_cones(&|c| c.cone_type as usize, &|c| c.geometry * c.pointing);
+        let received = of_cones(&|_| ARRIVING, &|c| c.geometry);
+        let sum = |weight: &dyn Fn(&MappedCone) -> f64| {
+            let weights: Vec<f64> = cones.cones.iter().map(weight).collect();
+            ConeSum::new(&arriving, &received, &weights, &stencils, &frequencies, scene.samples)
+        };
+        let (arrived, guided) = (sum(&|_| 1.0), sum(&|c| c.pointing));
         Self {
             scene,
-            frequencies,
             pixels,
             single: settings.single,
             images,
             stencils,
-            weights,
             coefficients,
-            factors: cones.cones.iter().map(|c| [c.geometry * c.pointing, c.geometry]).collect(),
             kinds: cones.cones.iter().map(|c| c.cone_type as usize).collect(),
+            arrived,
+            guided,
+            frequencies,
         }
     }
 
@@ -148,7 +161,8 @@ impl Expected {
             .flatten()
             .take(self.images.len())
             .collect();
-        self.gather(&grids)
+        let (arrived, guided) = (self.arrived.of(&drive), self.guided.of(&drive));
+        self.gather(&grids, arrived, guided)
     }
 
     /// `[primary][frequency]`: what the display sends, before the eye.
@@ -156,19 +170,27 @@ impl Expected {
         let [px, py] = self.scene.period_px;
         let size = self.scene.size_px.map(|s| s as usize);
         let sent = |(primary, pixel): (&SourcePrimary, &Vec<Complex64>)| {
-            let spectrum = picture_spectrum(&primary.light, size, [px, py], &self.frequencies);
-            let at = |((nu, pixel), light): ((&Frequency, &Complex64), &Complex64)| {
-                let cycles = DVec2::new(f64::from(nu.x) / px as f64, f64::from(nu.y) / py as f64);
-                light * pixel * primary.movement(cycles)
-            };
-            self.frequencies.par_iter().zip(pixel).zip(&spectrum).with_min_len(4096).map(at).collect()
+            let mut sent = vec![Complex64::ZERO; self.frequencies.len()];
+            for layer in &primary.layers {
+                let spectrum = picture_spectrum(&layer.light, size, [px, py], &self.frequencies);
+                let add = |(((nu, pixel), light), sum): (
+                    ((&Frequency, &Complex64), &Complex64),
+                    &mut Complex64,
+                )| {
+                    let cycles = DVec2::new(f64::from(nu.x) / px as f64, f64::from(nu.y) / py as f64);
+                    *sum += light * pixel * layer.movement(cycles);
+                };
+                let terms = self.frequencies.par_iter().zip(pixel).zip(&spectrum).zip(&mut sent);
+                terms.with_min_len(4096).for_each(add);
+            }
+            sent
         };
         source.primaries.iter().zip(&self.pixels).map(sent).collect()
     }
 
     fn coefficients_of_image(&self, image: usize, drive: &[Vec<Complex64>]) -> Vec<Complex64> {
         let mut sum = vec![Complex64::ZERO; self.frequencies.len()];
-        for (kernel, sent) in self.images[image].1.iter().zip(drive) {
+        for (kernel, sent) in self.images[image].kernels.iter().zip(drive) {
             for ((s, k), d) in sum.iter_mut().zip(kernel).zip(sent) {
                 *s += d * Complex64::new(f64::from(k.re), f64::from(k.im));
             }
@@ -176,38 +198,63 @@ impl Expected {
         sum
     }
 
-    fn gather(&self, grids: &[Vec<f32>]) -> Means {
-        let values: Vec<[f64; 2]> = (0..self.stencils.len())
+    fn gather(&self, grids: &[Vec<f32>], arrived: f64, guided: f64) -> Means {
+        let values: Vec<f64> = (0..self.kinds.len())
             .into_par_iter()
             .with_min_len(256)
             .map(|cone| {
-                let coefficients = &self.coefficients[cone];
-                let mut sums = [0.0; 2];
-                let mut used = 0;
-                for (slot, kind) in [self.kinds[cone], ARRIVING].into_iter().enumerate() {
-                    for (grid, _) in grids.iter().zip(&self.images).filter(|(_, image)| image.0 == kind) {
-                        sums[slot] += coefficients[used] * self.integral(cone, grid);
-                        used += 1;
-                    }
-                }
-                [sums[0] * self.factors[cone][0], sums[1] * self.factors[cone][1]]
+                let kind = self.kinds[cone];
+                let own = grids.iter().zip(&self.images).filter(|(_, image)| image.kind == kind);
+                let parts = own.zip(&self.coefficients[cone]).map(|((grid, _), coefficient)| {
+                    coefficient * self.stencils.integral(cone, grid, self.scene.samples)
+                });
+                parts.sum()
             })
             .collect();
-        let clamped = values.iter().filter(|v| v[0] < 0.0).count() as u64;
-        Means {
-            isomerized: values.iter().map(|v| v[0].max(0.0)).collect(),
-            arriving: values.iter().map(|v| v[1].max(0.0)).collect(),
-            clamped,
+        let clamped = values.iter().filter(|v| **v < 0.0).count() as u64;
+        Means { isomerized: values.into_iter().map(|v| v.max(0.0)).collect(), arrived, guided, clamped }
+    }
+}
+
+impl Stencils {
+    fn new(scene: &Scene, spread: &Spread, cones: &ConeTable) -> Self {
+        let per_px = scene.samples_per_px();
+        let weights_of = |cone: &MappedCone| {
+            // Positions in samples, areas in pixels.
+            let nodes: Vec<_> =
+                polygon_nodes(&cone.polygon_px).into_iter().map(|(p, w)| (p * per_px, w)).collect();
+            spread.weights(&nodes, scene.samples)
+        };
+        let gathered: Vec<_> = cones.cones.par_iter().map(weights_of).collect();
+        let mut all = Self::default();
+        for cone in gathered {
+            let offset = all.weights.len();
+            all.weights.extend(cone.values);
+            all.stencils.push(Stencil { first: cone.first, size: cone.size, offset });
+        }
+        all
+    }
+
+    fn of(&self, cone: usize) -> ([usize; 2], [usize; 2], &[f32]) {
+        let stencil = &self.stencils[cone];
+        let size = stencil.size.map(|v| v as usize);
+        (stencil.first.map(|v| v as usize), size, &self.weights[stencil.offset..][..size[0] * size[1]])
+    }
+
+    /// Adds a cone's weights times `factor` to a grid `[y][x]`.
+    pub fn add(&self, cone: usize, factor: f64, grid: &mut [f64], [columns, rows]: [usize; 2]) {
+        let ([first_x, first_y], [nx, _], weights) = self.of(cone);
+        for (dy, line) in weights.chunks_exact(nx.max(1)).enumerate() {
+            let row = &mut grid[((first_y + dy) % rows) * columns..][..columns];
+            for (dx, weight) in line.iter().enumerate() {
+                row[(first_x + dx) % columns] += factor * f64::from(*weight);
+            }
         }
     }
 
     /// Integral of one image over a cone's aperture.
-    fn integral(&self, cone: usize, grid: &[f32]) -> f64 {
-        let [columns, rows] = self.scene.samples;
-        let stencil = &self.stencils[cone];
-        let [first_x, first_y] = stencil.first.map(|v| v as usize);
-        let [nx, ny] = stencil.size.map(|v| v as usize);
-        let weights = &self.weights[stencil.offset..stencil.offset + nx * ny];
+    fn integral(&self, cone: usize, grid: &[f32], [columns, rows]: [usize; 2]) -> f64 {
+        let ([first_x, first_y], [nx, _], weights) = self.of(cone);
         // Rows are sums of four lanes, so that they are computed four at a time; their order is fixed.
         let mut lanes = [0.0_f32; LANES];
         for (dy, line) in weights.chunks_exact(nx.max(1)).enumerate() {
@@ -263,7 +310,7 @@ fn pixel_transforms(
         let at = |nu: &Frequency| {
             let cycles = DVec2::new(f64::from(nu.x) / px, f64::from(nu.y) / py);
             let spreading = along_x[nu.x.unsigned_abs() as usize] * along_y[nu.y.unsigned_abs() as usize];
-            pixel_transform(&emitter.rects, cycles) / (px * py * spreading)
+            pixel_transform(emitter, cycles) / (px * py * spreading)
         };
         frequencies.iter().map(at).collect()
     };
@@ -276,8 +323,8 @@ fn basis_images(
     kernels: &Kernels,
     frequencies: &[Frequency],
     cones: &ConeTable,
-) -> Vec<(usize, Vec<Vec<Complex32>>)> {
-    let shape = kernels.spec().shape;
+) -> Vec<BasisImage> {
+    let shape = kernels.shape();
     let [px, py] = scene.period_px.map(|p| p as f64);
     let stencils: Vec<_> = frequencies
         .par_iter()
@@ -294,20 +341,14 @@ fn basis_images(
         .collect();
     jobs.par_iter()
         .map(|&(kind, r)| {
-            let primaries = (0..kernels.spec().primaries.len())
+            let kernels = (0..kernels.spec().primaries.len())
                 .map(|primary| {
                     let table = kernels.table(kind, r, primary);
                     let value = |s: &Option<_>| s.as_ref().map_or(Complex64::ZERO, |s| shape.read(table, s));
                     stencils.iter().map(value).map(|z| Complex32::new(z.re as f32, z.im as f32)).collect()
                 })
                 .collect();
-            (kind, primaries)
+            BasisImage { kind, kernels }
         })
         .collect()
-}
-
-fn coefficients_of(kernels: &Kernels, cone: &MappedCone) -> Vec<f64> {
-    let mut coefficients = kernels.coefficients(cone.cone_type as usize, cone.um, cone.ecc_deg);
-    coefficients.extend(kernels.coefficients(ARRIVING, cone.um, cone.ecc_deg));
-    coefficients
 }

@@ -9,7 +9,7 @@ use crate::display::{emitters, pupil_share};
 use crate::experiment::Experiment;
 use crate::optics::{Prescription, Projection};
 use crate::plan::setup::{Setup, setup};
-use crate::retina::Retina;
+use crate::retina::{RegionUm, Retina};
 
 /// The inputs of an engine.
 pub struct Inputs {
@@ -21,6 +21,8 @@ pub struct Inputs {
     pub projection: Projection,
     /// Window and grid.
     pub scene: Scene,
+    /// Whether this is the first result tile: it accounts for the light of the whole screen.
+    pub first_tile: bool,
     /// Pointing factors of cones.
     pub pointing: Pointing,
     /// Light and movement.
@@ -42,8 +44,12 @@ impl Inputs {
             .map_err(|e| ExposureError::Artifact("cones", e.to_string()))?;
         let kernels =
             Kernels::from_bytes(kernels.as_ref()).map_err(|e| ExposureError::Artifact("kernels", e))?;
-        let Setup { prescription, projection, gaze, scene, .. } =
-            setup(experiment).map_err(|e| model(e.to_string()))?;
+        let setup = setup(experiment).map_err(|e| model(e.to_string()))?;
+        let [min, max] = kernels.spec().field_um;
+        let tile = RegionUm { min, max };
+        let scene = setup.scene(experiment, &tile).map_err(|e| model(e.to_string()))?;
+        let first_tile = setup.tiles.first() == Some(&tile);
+        let Setup { prescription, projection, gaze, .. } = setup;
         let eye = &experiment.eye;
         let per_radian = mm_per_radian(&projection, &prescription);
         let pointing = Pointing::new(eye.stiles_crawford_rho10_per_mm2, eye.pupil_mm, per_radian);
@@ -54,7 +60,7 @@ impl Inputs {
             gaze,
             display,
         };
-        Ok(Self { retina, kernels, projection, scene, pointing, projector })
+        Ok(Self { retina, kernels, projection, scene, first_tile, pointing, projector })
     }
 }
 

@@ -13,15 +13,17 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
+use super::density::densities;
 use super::lowrank::compress;
 use super::polar::PolarShape;
 use super::spectral::{Absorbers, KINDS, Kind, Paths, Share};
-use super::transfer::{FieldPoint, transfer_table};
+use super::transfer::{FieldPoint, extent, transfer_table, wavefronts};
 use super::{codec, nodes};
 use crate::cone::pigment::Pigments;
 use crate::display::photon_shares;
 use crate::media::Media;
 use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
+use crate::psf::Wavefront;
 use crate::spectrum::Spectrum;
 
 const MAGIC: [u8; 8] = *b"PEkernl1";
@@ -59,12 +61,14 @@ pub struct KernelSpec {
     pub lens_density_scale: f64,
     /// Peak density of the macula.
     pub macular_peak_density: f64,
+    /// Whether reflections at the surfaces are computed instead of the cornea's flat density.
+    pub reflection_losses: bool,
     /// Stiles-Crawford coefficient, base 10, 1/mm²; 0 is off.
     pub stiles_crawford_rho10_per_mm2: f64,
     /// Relative error of the low-rank basis.
     pub tolerance: f64,
-    /// Shape of the tables.
-    pub shape: PolarShape,
+    /// Highest frequency kept, cycles per unit tangent.
+    pub band: f64,
 }
 
 /// The basis of one kind.
@@ -77,6 +81,7 @@ struct KindBasis {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Head {
     spec: KernelSpec,
+    shape: PolarShape,
     kinds: Vec<KindBasis>,
     basis_error: f64,
     /// Mean over the field nodes of the apodized share of the pupil's light.
@@ -103,10 +108,12 @@ impl KernelSpec {
     /// # Errors
     /// When the embedded tables cannot be read.
     pub fn absorbers(&self) -> Result<Absorbers, String> {
-        Ok(Absorbers {
-            media: Media::new(self.lens_density_scale, self.macular_peak_density)?,
-            pigments: Pigments::new()?,
-        })
+        let mut media = Media::new(self.lens_density_scale, self.macular_peak_density)?;
+        if self.reflection_losses {
+            let eye = SchematicEye::new(&self.prescription, &self.state).map_err(|e| e.to_string())?;
+            media = media.with_reflections(|nm| eye.indices(nm));
+        }
+        Ok(Absorbers { media, pigments: Pigments::new()? })
     }
 
     /// The screen in front of the eye.
@@ -143,21 +150,34 @@ impl KernelSpec {
                 points.push(FieldPoint::new(&projection, DVec2::new(x, y))?);
             }
         }
-        // Transfer of every field point at every wavelength, in that order whatever thread computes it.
-        let jobs: Vec<(usize, f64)> =
-            (0..points.len()).flat_map(|f| self.nodes_nm.iter().map(move |&nm| (f, nm))).collect();
+        // Everything in the order of points and wavelengths, whatever thread computes it.
+        let rho = self.stiles_crawford_rho10_per_mm2;
+        let wavefronts: Vec<Vec<Wavefront>> = points
+            .par_iter()
+            .map(|point| wavefronts(&projection, point, &self.nodes_nm, rho))
+            .collect::<Result<_, String>>()?;
+        let jobs: Vec<(&FieldPoint, &Wavefront)> =
+            points.iter().zip(&wavefronts).flat_map(|(p, waves)| waves.iter().map(move |w| (p, w))).collect();
+        let shape = self.shape_for(&jobs)?;
+        let factors: Vec<f64> = points
+            .par_iter()
+            .map(|point| densities(&projection, point, &self.nodes_nm, rho))
+            .collect::<Result<Vec<_>, String>>()?
+            .concat();
         let transfers: Vec<_> = jobs
             .par_iter()
-            .map(|&(f, nm)| {
-                transfer_table(&projection, &points[f], nm, self.stiles_crawford_rho10_per_mm2, self.shape)
-            })
-            .collect::<Result<_, String>>()?;
+            .zip(&factors)
+            .map(|((p, w), factor)| transfer_table(p, w, shape).times(*factor))
+            .collect();
         let centre = transfers.len() / 2;
         let paths = transfers.get(centre).map_or(Paths { cornea: 1.0, lens: 1.0 }, |t| t.paths);
         let throughput = transfers.iter().map(|t| t.throughput).sum::<f64>() / transfers.len().max(1) as f64;
-        let kernels =
-            self.kernels_by_place(&transfers.iter().map(|t| t.table.as_slice()).collect::<Vec<_>>(), paths)?;
-        let weights = self.basis_weights();
+        let kernels = self.kernels_by_place(
+            &transfers.iter().map(|t| t.table.as_slice()).collect::<Vec<_>>(),
+            paths,
+            shape,
+        )?;
+        let weights = self.basis_weights(shape);
         // Arriving photons enter the budget only, where places average out: a coarser basis will do.
         let tolerance = |kind: usize| match KINDS[kind] {
             Kind::Isomerized(_) => self.tolerance,
@@ -166,11 +186,38 @@ impl KernelSpec {
         let compress = |(kind, places): (usize, &Vec<_>)| compress(places, &weights, tolerance(kind));
         let bases: Vec<_> = kernels.par_iter().enumerate().map(compress).collect();
         let basis_error = bases.iter().take(KINDS.len() - 1).map(|b| b.error).fold(0.0, f64::max);
-        let samples = self.shape.len();
+        let samples = shape.len();
         let split = |kernel: &Vec<Complex64>| kernel.chunks(samples).map(<[Complex64]>::to_vec).collect();
         let tables = bases.iter().map(|b| b.kernels.iter().map(split).collect()).collect();
         let kinds = bases.into_iter().map(|b| KindBasis { from_basis: b.coefficients }).collect();
-        Ok(Kernels { head: Head { spec: self.clone(), kinds, basis_error, throughput, paths }, tables })
+        Ok(Kernels {
+            head: Head { spec: self.clone(), shape, kinds, basis_error, throughput, paths },
+            tables,
+        })
+    }
+
+    /// The shape of the tables: a wavelength that is caught little need not be resolved as well.
+    fn shape_for(&self, jobs: &[(&FieldPoint, &Wavefront)]) -> Result<PolarShape, String> {
+        let absorbers = self.absorbers()?;
+        let paths = Paths { cornea: 1.0, lens: 1.0 };
+        let mut caught = vec![0.0_f64; self.nodes_nm.len()];
+        for shares in &self.shares() {
+            for kind in KINDS {
+                let weights = absorbers.weights(shares, &self.nodes_nm, kind, self.ecc_deg[1], paths);
+                let total: f64 = weights.iter().sum();
+                caught
+                    .iter_mut()
+                    .zip(&weights)
+                    .for_each(|(c, w)| *c = c.max(w / total.max(f64::MIN_POSITIVE)));
+            }
+        }
+        let mut cycles = [0.0_f64; 2];
+        for ((point, wavefront), caught) in jobs.iter().zip(caught.iter().cycle()) {
+            // The error is proportional to the catch and to the sixth power of the cycles.
+            let [blur, shift] = extent(point, wavefront).map(|e| e * self.band * caught.powf(1.0 / 6.0));
+            cycles = [cycles[0].max(blur), cycles[1].max(shift)];
+        }
+        Ok(PolarShape::for_cycles(self.band, cycles, self.tolerance))
     }
 
     /// `[kind][place][primary·sample]`.
@@ -178,6 +225,7 @@ impl KernelSpec {
         &self,
         transfers: &[&[Complex64]],
         paths: Paths,
+        shape: PolarShape,
     ) -> Result<Vec<Vec<Vec<Complex64>>>, String> {
         let absorbers = self.absorbers()?;
         let shares = self.shares();
@@ -191,10 +239,10 @@ impl KernelSpec {
         let flat: Vec<Vec<Complex64>> = places
             .par_iter()
             .map(|&(kind, f, ecc)| {
-                let mut kernel = Vec::with_capacity(shares.len() * self.shape.len());
+                let mut kernel = Vec::with_capacity(shares.len() * shape.len());
                 for primary in &shares {
                     let weights = absorbers.weights(primary, &self.nodes_nm, KINDS[kind], ecc, paths);
-                    let mut sum = vec![Complex64::ZERO; self.shape.len()];
+                    let mut sum = vec![Complex64::ZERO; shape.len()];
                     for (weight, table) in weights.iter().zip(&transfers[f * waves..(f + 1) * waves]) {
                         sum.iter_mut().zip(*table).for_each(|(s, t)| *s += *weight * t);
                     }
@@ -208,22 +256,19 @@ impl KernelSpec {
     }
 
     /// Weights of the samples in the basis: area in the frequency plane times the aperture's transform squared, and the mean.
-    fn basis_weights(&self) -> Vec<f64> {
-        let one: Vec<f64> = (0..self.shape.len())
+    fn basis_weights(&self, shape: PolarShape) -> Vec<f64> {
+        let one: Vec<f64> = (0..shape.len())
             .map(|i| {
-                let nu = self.shape.radius * (i % self.shape.radial) as f64 / (self.shape.radial - 1) as f64;
+                let nu = shape.radius * (i % shape.radial) as f64 / (shape.radial - 1) as f64;
                 let blur =
                     (-0.5 * (std::f64::consts::TAU * nu / UM_PER_TANGENT * APERTURE_UM / 4.0).powi(2)).exp();
                 nu * blur * blur
             })
             .collect();
         let total: f64 = one.iter().sum();
-        let mean = MEAN_WEIGHT * total / self.shape.azimuthal as f64;
-        let one: Vec<f64> = one
-            .into_iter()
-            .enumerate()
-            .map(|(i, w)| if i % self.shape.radial == 0 { mean } else { w })
-            .collect();
+        let mean = MEAN_WEIGHT * total / shape.azimuthal as f64;
+        let one: Vec<f64> =
+            one.into_iter().enumerate().map(|(i, w)| if i % shape.radial == 0 { mean } else { w }).collect();
         self.primaries.iter().flat_map(|_| one.iter().copied()).collect()
     }
 }
@@ -232,6 +277,11 @@ impl Kernels {
     /// The inputs.
     pub fn spec(&self) -> &KernelSpec {
         &self.head.spec
+    }
+
+    /// Shape of the tables.
+    pub fn shape(&self) -> PolarShape {
+        self.head.shape
     }
 
     /// Relative error of the low-rank basis.
@@ -293,7 +343,7 @@ impl Kernels {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let (head, numbers): (Head, Vec<f64>) = codec::decode(MAGIC, bytes)?;
         let primaries = head.spec.primaries.len();
-        let samples = head.spec.shape.len();
+        let samples = head.shape.len();
         let ranks: Vec<usize> = head.kinds.iter().map(|k| k.from_basis.first().map_or(0, Vec::len)).collect();
         let expected = ranks.iter().sum::<usize>().checked_mul(2 * primaries * samples);
         if head.kinds.len() != KINDS.len() || expected != Some(numbers.len()) || samples == 0 {

@@ -3,14 +3,17 @@
 //! `expected` computes the exact mean of every cone and draws a Poisson number; `events` draws the photons that could count; `paper` follows every photon as §22 is written and
 //! is the slow reference.
 
+mod arriving;
 mod budget;
 mod codec;
 mod cones;
+mod density;
 mod events;
 mod expected;
 mod grid;
 mod inputs;
 mod kernel;
+mod light;
 mod lowrank;
 mod nodes;
 mod paper;
@@ -20,6 +23,7 @@ pub mod scene;
 mod source;
 pub mod spectral;
 mod spread;
+pub mod stray;
 mod transfer;
 
 use glam::DVec2;
@@ -37,6 +41,7 @@ use cones::ConeTable;
 use events::Events;
 use expected::{Expected, Means, Settings};
 use inputs::Inputs;
+use light::{Shown, history};
 use paper::Paper;
 use source::Projector;
 
@@ -89,6 +94,7 @@ pub struct Exposure {
     ids: Vec<u64>,
     ledger: Ledger,
     counter: Counter,
+    veil: Option<stray::Veil>,
     pattern: Option<Picture>,
 }
 
@@ -113,6 +119,7 @@ impl Exposure {
             }
             Engine::Paper => Counter::Paper(Box::new(Paper::new(experiment, &inputs).map_err(model)?)),
         };
+        let veil = experiment.eye.stray_light.map(|light| stray::Veil::new(&inputs, &cones, light));
         let Inputs { retina, projector, scene, .. } = inputs;
         let pattern = match &experiment.video {
             Video::Pattern(pattern) => Some(draw(pattern, &projector.display, &experiment.gaze)),
@@ -126,6 +133,7 @@ impl Exposure {
             ids: retina.cones.id,
             ledger,
             counter,
+            veil,
             pattern,
         })
     }
@@ -150,36 +158,61 @@ impl Exposure {
     /// # Errors
     /// When the picture is missing or does not have the display's size.
     pub fn frame(&self, index: u32, picture: Option<&Picture>) -> Result<Frame, ExposureError> {
+        self.frame_after(index, picture, &[])
+    }
+
+    /// Earlier pictures that change a frame, by lag or afterglow.
+    pub fn history(&self) -> u32 {
+        history(&self.projector.emitters, &self.projector.display)
+    }
+
+    /// As [`Exposure::frame`], after `earlier` pictures, the latest first ([`Exposure::history`] of them, or all there were);
+    /// before the first picture of all the screen showed the same.
+    ///
+    /// # Errors
+    /// When a picture is missing or does not have the display's size.
+    pub fn frame_after(
+        &self,
+        index: u32,
+        picture: Option<&Picture>,
+        earlier: &[&Picture],
+    ) -> Result<Frame, ExposureError> {
         let picture = picture
             .or(self.pattern.as_ref())
             .ok_or_else(|| ExposureError::Model(format!("video: frame {index} has no picture")))?;
+        let shown = Shown::new(index, picture, earlier);
         let display = &self.projector.display;
-        if (picture.width, picture.height) != (display.width_px, display.height_px) {
-            let (width, height) = (display.width_px, display.height_px);
-            return Err(ExposureError::PictureSize(picture.width, picture.height, width, height));
+        for picture in &shown.pictures {
+            if (picture.width, picture.height) != (display.width_px, display.height_px) {
+                let (width, height) = (display.width_px, display.height_px);
+                return Err(ExposureError::PictureSize(picture.width, picture.height, width, height));
+            }
         }
         match &self.counter {
             Counter::Expected(expected) => {
-                let means = expected.frame(&self.projector.frame(index, picture, &self.scene));
-                Ok(self.expected_frame(index, picture, &means))
+                let mut means = expected.frame(&self.projector.frame(&shown, &self.scene));
+                if let Some(veil) = &self.veil {
+                    veil.add(&mut means, &shown, &self.projector);
+                }
+                Ok(self.expected_frame(&shown, &means))
             }
             Counter::Events(events) => {
-                let (counts, means) = events.frame(index, picture, &self.projector);
-                let budget = self.ledger.budget(&self.projector, picture, &self.cones, &means);
+                let (counts, means) = events.frame(&shown, &self.projector);
+                let budget = self.ledger.budget(&self.projector, &shown, &self.cones, &means);
                 Ok(Frame { counts: FrameCounts::Counts(counts), budget, diagnostics: Vec::new() })
             }
             Counter::Paper(paper) => {
-                let (counts, fates) = paper.frame(index, picture, &self.projector);
+                let (counts, fates) = paper.frame(&shown, &self.projector);
                 Ok(Frame { counts: FrameCounts::Counts(counts), budget: fates, diagnostics: Vec::new() })
             }
         }
     }
 
-    fn expected_frame(&self, index: u32, picture: &Picture, means: &Means) -> Frame {
-        let budget = self.ledger.budget(&self.projector, picture, &self.cones, means);
+    fn expected_frame(&self, shown: &Shown, means: &Means) -> Frame {
+        let budget = self.ledger.budget(&self.projector, shown, &self.cones, means);
         let counts = if self.experiment.counts.poisson {
             let seed = self.experiment.counts.seed;
-            let draw = |(mean, id): (&f64, &u64)| poisson::draw(seed, index, *id, *mean);
+            let draw = |(mean, id): (&f64, &u64)| poisson::draw(seed, shown.index, *id, *mean);
             FrameCounts::Counts(
                 means.isomerized.par_iter().zip(&self.ids).with_min_len(1024).map(draw).collect(),
             )

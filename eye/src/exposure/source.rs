@@ -3,19 +3,25 @@
 use glam::DVec2;
 use rustfft::num_complex::Complex64;
 
+use super::light::{Course, Segment, Shown, courses, frame_light, light, movement};
 use super::scene::Scene;
-use crate::display::{Channel, Display, Emitter};
+use crate::display::{Display, Emitter};
 use crate::movement::Gaze;
-use crate::video::Picture;
 
-/// One primary in one frame.
+/// One primary in one frame: layers of light.
 #[derive(Clone, Debug)]
 pub struct SourcePrimary {
-    /// Mean photons into the pupil from each pixel of the window during the frame (as if all were at the gaze centre),
-    /// `[row][column]`.
+    /// The layers.
+    pub layers: Vec<Layer>,
+}
+
+/// Light with a common course in time.
+#[derive(Clone, Debug)]
+pub struct Layer {
+    /// Mean photons into the pupil from each pixel of the window (as if all were at the gaze centre), `[row][column]`.
     pub light: Vec<f64>,
-    /// Where the line of sight is when the light goes on and off, pixels (x right, y down) from the gaze centre.
-    pub sight: [DVec2; 2],
+    /// Where the line of sight is meanwhile.
+    pub segments: Vec<Segment>,
 }
 
 /// One frame.
@@ -38,68 +44,62 @@ pub struct Projector {
     pub gaze: Gaze,
 }
 
-/// Relative light (0 to 1) of a pixel in a channel.
-pub fn relative_light(display: &Display, channel: Channel, rgb: &[f32]) -> f64 {
-    let light = |i: usize| display.transfer.light(f64::from(rgb[i]).clamp(0.0, 1.0));
-    match channel {
-        Channel::Red => light(0),
-        Channel::Green => light(1),
-        Channel::Blue => light(2),
-        Channel::White => (light(0) + light(1) + light(2)) / 3.0,
-    }
-}
-
 impl Projector {
-    /// Relative light `[row][column]` of one emitter over the window.
-    pub fn drive(&self, emitter: &Emitter, picture: &Picture, scene: &Scene) -> Vec<f64> {
-        let [width, height] = scene.size_px;
-        let mut light = Vec::with_capacity((width * height) as usize);
-        for row in 0..height {
-            for column in 0..width {
-                let at =
-                    3 * ((scene.first_px[1] + row) * picture.width + scene.first_px[0] + column) as usize;
-                light.push(relative_light(&self.display, emitter.channel, &picture.rgb[at..at + 3]));
-            }
-        }
-        light
-    }
-
-    /// The light of frame `index`.
-    pub fn frame(&self, index: u32, picture: &Picture, scene: &Scene) -> Source {
+    /// The light of a frame.
+    pub fn frame(&self, shown: &Shown, scene: &Scene) -> Source {
         let seconds = 1.0 / self.display.frame_rate_hz;
-        let primaries = self
-            .emitters
-            .iter()
-            .map(|emitter| {
-                let photons = emitter.emitted() * self.pupil_share;
-                let sight = emitter.lit.map(|part| {
-                    let at =
-                        self.gaze.screen_tangent((f64::from(index) + part) * seconds) / scene.tangent_per_px;
-                    DVec2::new(at.x, -at.y)
-                });
-                let light = self.drive(emitter, picture, scene).into_iter().map(|v| v * photons).collect();
-                SourcePrimary { light, sight }
-            })
-            .collect();
-        Source { primaries }
+        let primary = |emitter: &Emitter| {
+            let courses = courses(emitter, &self.display, shown.index);
+            let photons = emitter.emitted() * self.pupil_share;
+            if self.gaze.is_still() {
+                // The order of light does not matter: one layer.
+                let at = |at: [u32; 2]| frame_light(&self.display, emitter, &courses, shown, at) * photons;
+                let rest = Segment { share: 1.0, decay: 0.0, sight: [DVec2::ZERO; 2] };
+                return SourcePrimary {
+                    layers: vec![Layer { light: window(scene, at), segments: vec![rest] }],
+                };
+            }
+            let layer = |course: &Course| {
+                let at = |at: [u32; 2]| light(&self.display, emitter, course.shows, shown, at) * photons;
+                let segments = course.segments(&self.gaze, shown.index, seconds, scene.tangent_per_px);
+                Layer { light: window(scene, at), segments }
+            };
+            SourcePrimary { layers: courses.iter().map(layer).filter(Layer::is_lit).collect() }
+        };
+        Source { primaries: self.emitters.iter().map(primary).collect() }
     }
 }
 
-impl SourcePrimary {
-    /// Transform of the movement at cycles per pixel (y down): 1 at 0. A pixel at p is seen at p - sight, evenly between the two
-    /// positions.
+impl Layer {
+    fn is_lit(&self) -> bool {
+        !self.segments.is_empty() && self.light.iter().any(|l| *l > 0.0)
+    }
+
+    /// Transform of the movement at cycles per pixel (y down).
     pub fn movement(&self, cycles: DVec2) -> Complex64 {
-        let [from, to] = self.sight;
-        if from == DVec2::ZERO && to == DVec2::ZERO {
-            return Complex64::ONE;
-        }
-        let middle = std::f64::consts::TAU * cycles.dot(0.5 * (from + to));
-        Complex64::from_polar(sinc(cycles.dot(to - from)), middle)
+        movement(&self.segments, cycles)
     }
 }
 
-/// Transform of a pixel's rectangles at cycles per pixel (y down): 1 at 0.
-pub fn pixel_transform(rects: &[([f64; 4], f64)], cycles: DVec2) -> Complex64 {
+/// A value for every pixel of the window, `[row][column]`.
+fn window(scene: &Scene, value: impl Fn([u32; 2]) -> f64) -> Vec<f64> {
+    let [width, height] = scene.size_px;
+    let [first, top] = scene.first_px;
+    let pixels = (0..height).flat_map(|row| (0..width).map(move |column| [first + column, top + row]));
+    pixels.map(value).collect()
+}
+
+/// Transform of a pixel's rectangles, blurred by its spot, at cycles per pixel (y down): 1 at 0.
+pub fn pixel_transform(emitter: &Emitter, cycles: DVec2) -> Complex64 {
+    let mut pixel = rects_transform(&emitter.rects, cycles);
+    if emitter.spot_sd_px > 0.0 {
+        pixel *=
+            (-0.5 * (std::f64::consts::TAU * emitter.spot_sd_px).powi(2) * cycles.length_squared()).exp();
+    }
+    pixel
+}
+
+fn rects_transform(rects: &[([f64; 4], f64)], cycles: DVec2) -> Complex64 {
     let mut pixel = Complex64::ZERO;
     for ([x0, y0, x1, y1], share) in rects {
         let centre = DVec2::new(0.5 * (x0 + x1), 0.5 * (y0 + y1));
@@ -110,7 +110,7 @@ pub fn pixel_transform(rects: &[([f64; 4], f64)], cycles: DVec2) -> Complex64 {
 }
 
 /// sin(πx)/(πx), an even function; its sign is kept by `from_polar` as a turn of π.
-fn sinc(x: f64) -> f64 {
+pub fn sinc(x: f64) -> f64 {
     let y = std::f64::consts::PI * x;
     if y.abs() < 1e-4 { 1.0 - y * y / 6.0 } else { y.sin() / y }
 }
@@ -122,8 +122,8 @@ mod tests {
     /// The transform against a direct sum over the rectangle and the movement.
     #[test]
     fn transform_matches_the_integral() {
-        let primary =
-            SourcePrimary { light: Vec::new(), sight: [DVec2::new(0.3, -0.1), DVec2::new(1.1, 0.4)] };
+        let segment =
+            Segment { share: 1.0, decay: 0.0, sight: [DVec2::new(0.3, -0.1), DVec2::new(1.1, 0.4)] };
         let cycles = DVec2::new(0.7, -1.3);
         let n = 60;
         let mut sum = Complex64::ZERO;
@@ -132,14 +132,14 @@ mod tests {
                 for k in 0..n {
                     let unit = |v: usize| (v as f64 + 0.5) / f64::from(n as u32);
                     let point = DVec2::new(0.1 + 0.5 * unit(i), 0.2 + 0.7 * unit(j));
-                    let seen = point - primary.sight[0].lerp(primary.sight[1], unit(k));
+                    let seen = point - segment.sight[0].lerp(segment.sight[1], unit(k));
                     sum += Complex64::cis(-std::f64::consts::TAU * cycles.dot(seen));
                 }
             }
         }
         assert!(
             (sum / (n * n * n) as f64
-                - pixel_transform(&[([0.1, 0.2, 0.6, 0.9], 1.0)], cycles) * primary.movement(cycles))
+                - rects_transform(&[([0.1, 0.2, 0.6, 0.9], 1.0)], cycles) * movement(&[segment], cycles))
             .norm()
                 < 2e-3
         );

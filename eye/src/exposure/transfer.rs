@@ -1,8 +1,9 @@
 //! Optical transfer of one field point at one wavelength as a polar table.
 //!
-//! Along each direction the transfer function is computed at Chebyshev points in u, where |ν| = cutoff·(1 - (1-u)²), which
-//! flattens its (1-x)^{3/2} end at the cutoff, and interpolated by the barycentric formula; over azimuth, where it is periodic,
-//! by trigonometric interpolation. The transverse chromatic shift is put in afterwards, exactly.
+//! A compact spread: along each direction the transfer function is computed at Chebyshev points in u, where |ν| = cutoff·(1 - (1-u)²),
+//! which flattens its (1-x)^{3/2} end at the cutoff, and interpolated by the barycentric formula; over azimuth, where it is periodic,
+//! by trigonometric interpolation. A wide one: by fast transforms ([`TransferMap`]) but for the tip and the end, which are computed
+//! as before. The transverse chromatic shift is put in afterwards, exactly.
 
 use glam::{DMat2, DVec2};
 use rustfft::num_complex::Complex64;
@@ -10,24 +11,30 @@ use rustfft::num_complex::Complex64;
 use super::polar::PolarShape;
 use super::spectral::Paths;
 use crate::optics::{Object, Projection};
-use crate::psf::{Otf, StilesCrawfordApodization, Wavefront, WavefrontOptions};
+use crate::psf::quadrature::Rules;
+use crate::psf::{Otf, StilesCrawfordApodization, TransferMap, Wavefront, WavefrontOptions, WavefrontTable};
 
-/// Fewest points along a direction.
-const MIN_RADIAL: usize = 20;
+/// Fewest points along a direction, over the whole range and over its tip or end.
+const MIN_RADIAL: [usize; 2] = [18, 8];
 /// Fewest directions over [0, π).
-const MIN_AZIMUTHAL: usize = 16;
+const MIN_AZIMUTHAL: usize = 14;
+/// Points more per cycle of the spread's edge, along and around.
+const RADIAL_PER_CYCLE: f64 = 2.5;
+const AZIMUTHAL_PER_CYCLE: f64 = 2.0;
+/// Spot radius, in cycles per pupil radius, from which the fast transforms are less work.
+const MAP_FROM_TURNS: f64 = 1.5;
 
 /// A point of the field.
 #[derive(Clone, Debug)]
 pub struct FieldPoint {
     /// What is imaged there.
     pub object: Object,
-    /// On the screen.
-    pub tangent: DVec2,
     /// Landing point at the reference wavelength, µm.
     pub landing_um: DVec2,
-    /// Frequencies on the retina (cycles/µm) from frequencies on the screen (cycles per unit tangent).
+    /// Frequencies on the retina (cycles/µm along its local tangents) from frequencies on the screen (cycles per unit tangent).
     pub frequency_map: DMat2,
+    /// Screen tangents per µm of retinal coordinates.
+    tangent_from_um: DMat2,
 }
 
 impl FieldPoint {
@@ -38,12 +45,30 @@ impl FieldPoint {
     pub fn new(projection: &Projection, um: DVec2) -> Result<Self, String> {
         let tangent = projection.screen_tangent(um).map_err(|e| e.to_string())?;
         let jacobian = projection.jacobian_um_per_tangent(tangent).map_err(|e| e.to_string())?;
+        // Coordinates are arcs from the foveal centre: around it a step is shorter by sin(arc)/arc.
+        let arc = um.length() / (1e3 * projection.eye().fovea().radius_mm);
+        let around = if arc > 1e-6 { arc.sin() / arc } else { 1.0 };
+        let way = um.normalize_or_zero();
+        let side = way.perp();
+        let local = DMat2::from_cols(way * way.x, way * way.y)
+            + around * DMat2::from_cols(side * side.x, side * side.y);
+        let local = if arc > 1e-6 { local } else { DMat2::IDENTITY };
         Ok(Self {
             object: projection.object(tangent),
-            tangent,
             landing_um: um,
-            frequency_map: jacobian.inverse().transpose(),
+            frequency_map: (local * jacobian).inverse().transpose(),
+            tangent_from_um: jacobian.inverse(),
         })
+    }
+
+    /// A step on the chart from a step along the retina's tangents, µm.
+    pub fn chart_from_tangents(&self) -> DMat2 {
+        self.tangent_from_um.inverse() * self.frequency_map.transpose()
+    }
+
+    /// Where a wavefront's chief ray lands, from that of the reference wavelength, as a shift of the screen (unit tangents).
+    fn shift(&self, wavefront: &Wavefront) -> DVec2 {
+        self.tangent_from_um * (wavefront.landing_um - self.landing_um)
     }
 }
 
@@ -58,82 +83,161 @@ pub struct Transfer {
     pub paths: Paths,
 }
 
-/// The transfer table of a field point at a wavelength.
-///
-/// # Errors
-/// When the pupil cannot be traced.
-pub fn transfer_table(
-    projection: &Projection,
-    point: &FieldPoint,
-    nm: f64,
-    rho10_per_mm2: f64,
-    shape: PolarShape,
-) -> Result<Transfer, String> {
-    let wavefront = wavefront(projection, point, nm, rho10_per_mm2)?;
-    let otf = Otf::new(&wavefront);
-    let landing = projection.retina_um(point.tangent, nm).map_err(|e| e.to_string())?;
-    // Cycles of the spread's edge within the frequencies that are kept decide how finely the transfer oscillates.
-    let kept = shape.radius * (point.frequency_map * DVec2::X).length();
-    let cycles = spot_radius_um(&wavefront) * otf.cutoff(0.0).min(kept);
-    let radial = MIN_RADIAL + (2.5 * cycles).ceil() as usize;
-    let azimuthal = MIN_AZIMUTHAL + (2.0 * cycles).ceil() as usize;
-    let directions: Vec<Vec<Complex64>> = (0..azimuthal)
-        .map(|j| {
-            let angle = std::f64::consts::PI * j as f64 / azimuthal as f64;
-            along(&otf, point.frequency_map * DVec2::from_angle(angle), radial, shape)
-        })
-        .collect();
-    let mut table = over_azimuth(&directions, shape);
-    shift(&mut table, point.frequency_map.transpose() * (landing - point.landing_um), shape);
-    let paths = Paths { cornea: wavefront.path_cornea, lens: wavefront.path_lens };
-    Ok(Transfer { table, throughput: wavefront.throughput(), paths })
+impl Transfer {
+    /// Every value of the table times a factor.
+    #[must_use]
+    pub fn times(mut self, factor: f64) -> Self {
+        self.table.iter_mut().for_each(|value| *value *= factor);
+        self
+    }
 }
 
-/// The wavefront of a field point at a wavelength.
+/// Some of a table's radii, computed at a few points along and around and interpolated to the table's.
+#[derive(Clone, Copy, Debug)]
+struct Ring {
+    /// First and last radius, samples.
+    radii: [usize; 2],
+    /// Points along each direction and directions over [0, π).
+    points: [usize; 2],
+}
+
+/// Wavefronts `[wavelength]` of a field point.
 ///
 /// # Errors
 /// When the pupil cannot be traced.
-pub fn wavefront(
+pub fn wavefronts(
     projection: &Projection,
     point: &FieldPoint,
-    nm: f64,
+    nodes_nm: &[f64],
     rho10_per_mm2: f64,
-) -> Result<Wavefront, String> {
+) -> Result<Vec<Wavefront>, String> {
     let stiles_crawford =
         (rho10_per_mm2 > 0.0).then_some(StilesCrawfordApodization { rho_base10_per_mm2: rho10_per_mm2 });
     let options = WavefrontOptions { stiles_crawford, ..WavefrontOptions::default() };
-    Wavefront::new(projection.eye(), point.object, nm, &options).map_err(|e| e.to_string())
+    WavefrontTable::spectrum(projection.eye(), point.object, nodes_nm, &options).map_err(|e| e.to_string())
+}
+
+/// Radius of the geometric spread and distance of its chief ray from the point imaged at the reference wavelength, on the screen
+/// (unit tangents): the rates at which the transfer oscillates, cycles per frequency.
+pub fn extent(point: &FieldPoint, wavefront: &Wavefront) -> [f64; 2] {
+    let spot = point.frequency_map.transpose() * DVec2::splat(spot_radius_um(wavefront) / 2.0_f64.sqrt());
+    [spot.length(), point.shift(wavefront).length()]
+}
+
+/// The transfer table of a field point at a wavelength.
+pub fn transfer_table(point: &FieldPoint, wavefront: &Wavefront, shape: PolarShape) -> Transfer {
+    let otf = Otf::new(wavefront);
+    let last = shape.radial - 1;
+    let mut table = vec![Complex64::ZERO; shape.len()];
+    // Shift in the pupil, in its radii, at the table's last radius.
+    let to_shift = wavefront.axes.inverse() * wavefront.wavelength_um() * point.frequency_map;
+    let stretch =
+        |k: u32| (to_shift * DVec2::from_angle(f64::from(k) * std::f64::consts::PI / 24.0)).length();
+    let (least, most) = (0..24).map(stretch).fold((f64::MAX, 0.0_f64), |(a, b), s| (a.min(s), b.max(s)));
+    let band = shape.radius * most;
+    let turns = spot_turns(wavefront);
+    let map = (turns > MAP_FROM_TURNS).then(|| TransferMap::new(wavefront, band)).flatten();
+    let Some(map) = map else {
+        rings(&otf, point, &mut table, shape, &[Ring::new([0, last], [turns * band.min(2.0); 2], false)]);
+        return finish(point, wavefront, table, shape);
+    };
+    let step = shape.radius / last as f64;
+    let inner = ((map.least() / (step * least)).ceil() as usize).min(last);
+    let outer = ((map.most() / (step * most)).floor() as usize).clamp(inner, last);
+    let unit = |j: usize| point.frequency_map * shape.frequency(j, 1);
+    for (j, line) in table.chunks_mut(shape.radial).enumerate() {
+        let unit = unit(j);
+        for (i, value) in line.iter_mut().enumerate().take(outer + 1).skip(inner + 1) {
+            *value = map.value(unit * i as f64);
+        }
+    }
+    let tip = turns * step * inner as f64 * most;
+    let mut left = vec![Ring::new([0, inner], [tip, tip], true)];
+    if outer < last {
+        let whole = turns * band.min(2.0);
+        left.push(Ring::new([outer + 1, last], [whole - turns * map.most().min(band), whole], true));
+    }
+    rings(&otf, point, &mut table, shape, &left);
+    finish(point, wavefront, table, shape)
+}
+
+impl Ring {
+    /// A ring over which the transfer goes through so many cycles along and around; `part` of the range or all of it.
+    fn new(radii: [usize; 2], cycles: [f64; 2], part: bool) -> Self {
+        let least = MIN_RADIAL[usize::from(part)];
+        let radial = least + (RADIAL_PER_CYCLE * cycles[0]).ceil() as usize;
+        let azimuthal = MIN_AZIMUTHAL + (AZIMUTHAL_PER_CYCLE * cycles[1]).ceil() as usize;
+        Self { radii, points: [radial, azimuthal] }
+    }
+}
+
+/// Puts in the chromatic shift.
+fn finish(
+    point: &FieldPoint,
+    wavefront: &Wavefront,
+    mut table: Vec<Complex64>,
+    shape: PolarShape,
+) -> Transfer {
+    shift(&mut table, point.shift(wavefront), shape);
+    let paths = Paths { cornea: wavefront.path_cornea, lens: wavefront.path_lens };
+    Transfer { table, throughput: wavefront.throughput(), paths }
 }
 
 /// Largest distance from the chief ray's landing point at which rays land, µm: the gradient of the path difference.
 pub fn spot_radius_um(wavefront: &Wavefront) -> f64 {
-    let [by_x, by_y] = wavefront.opd_um.gradient();
     let to_cosines = wavefront.axes.inverse().transpose();
+    slopes(wavefront).map(|g| (to_cosines * g).length()).fold(0.0, f64::max)
+}
+
+/// The same in cycles per pupil coordinate.
+fn spot_turns(wavefront: &Wavefront) -> f64 {
+    slopes(wavefront).map(DVec2::length).fold(0.0, f64::max) / wavefront.wavelength_um()
+}
+
+/// Gradients of the path difference over the pupil, µm per pupil coordinate.
+fn slopes(wavefront: &Wavefront) -> impl Iterator<Item = DVec2> + use<> {
+    let [by_x, by_y] = wavefront.opd_um.gradient();
     let points = (0..4).flat_map(|ring| {
         (0..12).map(move |i| {
             DVec2::from_angle(f64::from(i) * std::f64::consts::FRAC_PI_6) * (0.25 * f64::from(ring + 1))
         })
     });
-    points.map(|p| (to_cosines * DVec2::new(by_x.at(p), by_y.at(p))).length()).fold(0.0, f64::max)
+    points.map(move |p| DVec2::new(by_x.at(p), by_y.at(p)))
 }
 
-/// Transfer along a direction at the table's radii; `unit` is the retinal frequency of a unit screen frequency.
-fn along(otf: &Otf, unit: DVec2, points: usize, shape: PolarShape) -> Vec<Complex64> {
-    let direction = unit.y.atan2(unit.x);
-    let cutoff = otf.cutoff(direction);
-    // u = 1 is the cutoff, or the last radius of the table when that comes first.
-    let kept = shape.radius * unit.length();
-    let last_u = if kept < cutoff { 1.0 - (1.0 - kept / cutoff).sqrt() } else { 1.0 };
-    let last = (points - 1) as f64;
-    let chebyshev = |i: usize| 0.5 * last_u * (1.0 - (std::f64::consts::PI * i as f64 / last).cos());
-    let us: Vec<f64> = (0..points).map(chebyshev).collect();
-    let nus: Vec<f64> = us.iter().map(|u| cutoff * (1.0 - (1.0 - u) * (1.0 - u))).collect();
-    let values = otf.radial(direction, &nus);
-    let step = shape.radius / (shape.radial - 1) as f64 * unit.length() / cutoff;
-    (0..shape.radial)
+/// Computes rings of the table by quadrature.
+fn rings(otf: &Otf, point: &FieldPoint, table: &mut [Complex64], shape: PolarShape, rings: &[Ring]) {
+    let mut rules = Rules::default();
+    for ring in rings {
+        let directions: Vec<Vec<Complex64>> = (0..ring.points[1])
+            .map(|j| {
+                let angle = std::f64::consts::PI * j as f64 / ring.points[1] as f64;
+                along(otf, &mut rules, point.frequency_map * DVec2::from_angle(angle), *ring, shape)
+            })
+            .collect();
+        over_azimuth(&directions, *ring, table, shape);
+    }
+}
+
+/// Transfer along a direction at the table's radii of a ring; `unit` is the retinal frequency of a unit screen frequency.
+fn along(otf: &Otf, rules: &mut Rules, unit: DVec2, ring: Ring, shape: PolarShape) -> Vec<Complex64> {
+    let per_radius = shape.radius / (shape.radial - 1) as f64 * unit.length();
+    let u = |x: f64| 1.0 - (1.0 - x.min(1.0)).sqrt();
+    let last = (ring.points[0] - 1) as f64;
+    let mut us = Vec::with_capacity(ring.points[0]);
+    let mut step = 0.0;
+    // u = 1 is the cutoff, or the ring's last radius when that comes first.
+    let values = otf.along(unit.y.atan2(unit.x), rules, |cutoff| {
+        step = per_radius / cutoff;
+        let [from, to] = ring.radii.map(|i| u(step * i as f64));
+        let chebyshev = |i: usize| 0.5 * (1.0 - (std::f64::consts::PI * i as f64 / last).cos());
+        us.extend((0..ring.points[0]).map(|i| from + (to - from) * chebyshev(i)));
+        us.iter().map(|u| cutoff * (1.0 - (1.0 - u) * (1.0 - u))).collect()
+    });
+    (ring.radii[0]..=ring.radii[1])
         .map(|i| {
             let x = step * i as f64;
-            if x >= 1.0 { Complex64::ZERO } else { barycentric(&us, &values, 1.0 - (1.0 - x).sqrt()) }
+            if x >= 1.0 { Complex64::ZERO } else { barycentric(&us, &values, u(x)) }
         })
         .collect()
 }
@@ -156,20 +260,20 @@ fn barycentric(nodes: &[f64], values: &[Complex64], at: f64) -> Complex64 {
 }
 
 /// Trigonometric interpolation from `directions` over [0, π) (conjugate on the other half) to the table's azimuths.
-fn over_azimuth(directions: &[Vec<Complex64>], shape: PolarShape) -> Vec<Complex64> {
+fn over_azimuth(directions: &[Vec<Complex64>], ring: Ring, table: &mut [Complex64], shape: PolarShape) {
     let n = 2 * directions.len();
-    let mut table = vec![Complex64::ZERO; shape.len()];
     for (j, line) in table.chunks_mut(shape.radial).enumerate() {
         let angle = std::f64::consts::PI * j as f64 / shape.azimuthal as f64;
         for (d, direction) in directions.iter().enumerate() {
             let at = std::f64::consts::PI * d as f64 / directions.len() as f64;
             let (near, far) = (dirichlet(angle - at, n), dirichlet(angle - at - std::f64::consts::PI, n));
-            for (value, sample) in line.iter_mut().zip(direction) {
-                *value += near * sample + far * sample.conj();
+            // near·z + far·conj(z).
+            let (re, im) = (near + far, near - far);
+            for (value, sample) in line[ring.radii[0]..=ring.radii[1]].iter_mut().zip(direction) {
+                *value += Complex64::new(re * sample.re, im * sample.im);
             }
         }
     }
-    table
 }
 
 /// Interpolation kernel of n equal samples (even) on the circle.

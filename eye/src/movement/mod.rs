@@ -1,61 +1,171 @@
 //! Eye movement during viewing (§11): where the line of sight meets the screen at a time.
 //!
-//! A drift turns the eye at a steady rate from a start at rest on the fixated point; the axis lies in Listing's plane, so there is
-//! no torsion. Orientations are quaternions, interpolated between rest and the end of the drift; the line of sight turns about
-//! the rotation centre, 13.5 mm behind the corneal apex. Within a frame the movement is affine on the screen; its linear part
-//! differs from 1 by the angle squared (1e-10 for the default drift in a frame), so a frame has one shift at its start and one
-//! at its end.
+//! The line of sight starts on the fixated point; a movement is a path (x, y) of visual angle from there: drift, random walk or a
+//! recording, with tremor and microsaccades on top. The eye turns by the path's length about an axis that lies in Listing's plane,
+//! so there is no torsion. Orientations are quaternions; the line of sight turns about the rotation centre, 13.5 mm behind the
+//! corneal apex. [`Gaze::path`] gives a stretch of time as straight lines on the screen, to 1e-6 rad (0.003 arcmin); the default drift is one
+//! line a frame.
 //!
 //! # Stability
 //! The usual slerp through acos is NaN or 0/0 below 1e-8 rad; here the angle is known, so no arc cosine is taken.
 
+mod fixation;
+mod validate;
+mod walk;
+
 use glam::{DQuat, DVec2, DVec3};
 
-use crate::experiment::{Movement, RangeError};
+use crate::experiment::{self, Movement, RangeError};
+use fixation::{Saccade, Tremor};
+use walk::Walk;
 
 /// Rotation centre behind the corneal apex, cm.
 const ROTATION_CENTRE_CM: f64 = 1.35;
 /// Largest turn that is served, degrees.
 const MAX_TURN_DEG: f64 = 45.0;
+/// How far a straight line may be from the path, unit tangents.
+const STRAIGHT: f64 = 1e-6;
+/// Most times that a stretch of path is halved.
+const MAX_HALVINGS: u32 = 10;
+/// Most pieces that a movement may have by itself in a frame.
+const MAX_PIECES: f64 = 4096.0;
+
+/// Radians of an arcminute.
+pub(crate) fn radians(arcmin: f64) -> f64 {
+    (arcmin / 60.0).to_radians()
+}
 
 /// Movement in front of a screen.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Gaze {
-    radians_per_s: f64,
-    /// Unit direction in the visual field, x right, y up.
-    direction: DVec2,
+    base: Base,
+    tremor: Option<Tremor>,
+    saccades: Vec<Saccade>,
     /// Distance of the screen from the rotation centre over its distance from the apex.
     lever: f64,
 }
 
+/// The path without tremor and microsaccades.
+#[derive(Clone, Debug)]
+enum Base {
+    Drift {
+        radians_per_s: f64,
+        /// Unit direction in the visual field, x right, y up.
+        direction: DVec2,
+    },
+    Walk(Walk),
+    /// Times, s, and places, radians.
+    Recorded(Vec<(f64, DVec2)>),
+}
+
+impl Base {
+    fn new(movement: &Movement, seed: u64, duration_s: f64) -> Self {
+        match movement {
+            Movement::Still => Self::Drift { radians_per_s: 0.0, direction: DVec2::X },
+            Movement::Drift { speed_arcmin_per_s, direction_deg } => Self::Drift {
+                radians_per_s: radians(*speed_arcmin_per_s),
+                direction: DVec2::from_angle(direction_deg.to_radians()),
+            },
+            Movement::Walk { unit_arcmin } => Self::Walk(Walk::new(seed, radians(*unit_arcmin), duration_s)),
+            Movement::Recorded(samples) => Self::Recorded(
+                samples.iter().map(|[t, x, y]| (*t, DVec2::new(radians(*x), radians(*y)))).collect(),
+            ),
+        }
+    }
+
+    /// Visual angle from the fixated point at a time, radians.
+    fn at(&self, t_s: f64) -> DVec2 {
+        match self {
+            Self::Drift { radians_per_s, direction } => *radians_per_s * t_s * *direction,
+            Self::Walk(walk) => walk.at(t_s),
+            Self::Recorded(samples) => {
+                let next = samples.partition_point(|s| s.0 <= t_s);
+                match (next.checked_sub(1).map(|i| samples[i]), samples.get(next)) {
+                    (Some((t0, from)), Some((t1, to))) => from.lerp(*to, (t_s - t0) / (t1 - t0)),
+                    (Some((_, last)), None) => last,
+                    (None, first) => first.map_or(DVec2::ZERO, |f| f.1),
+                }
+            }
+        }
+    }
+
+    /// Times between two times (exclusive) at which the path bends.
+    fn bends(&self, from: f64, to: f64) -> Vec<f64> {
+        match self {
+            Self::Drift { .. } => Vec::new(),
+            Self::Walk(_) => Walk::bends(from, to),
+            Self::Recorded(samples) => samples.iter().map(|s| s.0).filter(|t| *t > from && *t < to).collect(),
+        }
+    }
+}
+
 impl Gaze {
-    /// A movement in front of a screen at a distance (cm) for a duration (s).
+    /// A movement in front of a screen at a distance (cm) over frames of a length (s).
     ///
     /// # Errors
-    /// When the eye would turn by more than 45°.
-    pub fn new(movement: Movement, distance_cm: f64, duration_s: f64) -> Result<Self, RangeError> {
-        let (speed, direction_deg) = match movement {
-            Movement::Still => (0.0, 0.0),
-            Movement::Drift { speed_arcmin_per_s, direction_deg } => (speed_arcmin_per_s, direction_deg),
-        };
-        let turn_deg = speed / 60.0 * duration_s;
-        if turn_deg > MAX_TURN_DEG {
-            let allowed =
-                format!("at most {MAX_TURN_DEG}° over all frames ({duration_s} s), here it is {turn_deg}°");
-            return Err(RangeError::new("gaze.movement.drift.speed_arcmin_per_s", speed, &allowed));
+    /// When the eye would turn by more than 45°, or a frame would hold more movement than is served.
+    pub fn new(
+        gaze: &experiment::Gaze,
+        distance_cm: f64,
+        frames: u32,
+        frame_s: f64,
+    ) -> Result<Self, RangeError> {
+        let duration_s = f64::from(frames) * frame_s;
+        check_pieces(gaze, frame_s, duration_s)?;
+        let base = Base::new(&gaze.movement, gaze.seed, duration_s);
+        let tremor = gaze.tremor.map(|t| Tremor::new(&t, gaze.seed));
+        let saccades = gaze.microsaccades.map_or_else(Vec::new, |spec| {
+            fixation::saccades(&spec, gaze.seed, duration_s, |t_s| base.at(t_s))
+        });
+        let lever = 1.0 + ROTATION_CENTRE_CM / distance_cm;
+        let made = Self { base, tremor, saccades, lever };
+        made.check_turn(gaze, duration_s)?;
+        Ok(made)
+    }
+
+    fn check_turn(&self, gaze: &experiment::Gaze, duration_s: f64) -> Result<(), RangeError> {
+        let mut times = self.base.bends(0.0, duration_s);
+        times.extend(self.saccades.iter().map(|s| s.end_s));
+        times.extend([0.0, duration_s]);
+        let turn = times.iter().map(|t| self.turn(*t).length()).fold(0.0, f64::max).to_degrees();
+        if turn <= MAX_TURN_DEG {
+            return Ok(());
         }
-        Ok(Self {
-            radians_per_s: (speed / 60.0).to_radians(),
-            direction: DVec2::from_angle(direction_deg.to_radians()),
-            lever: 1.0 + ROTATION_CENTRE_CM / distance_cm,
-        })
+        let allowed = format!("at most {MAX_TURN_DEG}° over all frames ({duration_s} s), here it is {turn}°");
+        let (field, value) = match &gaze.movement {
+            Movement::Drift { speed_arcmin_per_s, .. } => ("drift.speed_arcmin_per_s", *speed_arcmin_per_s),
+            Movement::Walk { unit_arcmin } => ("walk.unit_arcmin", *unit_arcmin),
+            Movement::Recorded(_) => ("recorded", turn),
+            Movement::Still => ("microsaccades", turn),
+        };
+        Err(RangeError::new(&format!("gaze.movement.{field}"), value, &allowed))
+    }
+
+    /// Visual angle from the fixated point at a time, radians: the axis of the turn is at right angles to it.
+    fn turn(&self, t_s: f64) -> DVec2 {
+        let mut at = self.base.at(t_s);
+        if let Some(tremor) = &self.tremor {
+            at += tremor.at(t_s);
+        }
+        if !self.saccades.is_empty() {
+            at += fixation::jumped(&self.saccades, t_s);
+        }
+        at
     }
 
     /// Orientation of the eye relative to rest at time `t_s`; axes x right, y up, z towards the viewer.
     pub fn orientation(&self, t_s: f64) -> DQuat {
         // The eye looks along -z; a turn about (y, -x) carries -z towards (x, y).
-        let axis = DVec3::new(self.direction.y, -self.direction.x, 0.0);
-        DQuat::from_axis_angle(axis, self.radians_per_s * t_s)
+        let (direction, angle) = match &self.base {
+            Base::Drift { radians_per_s, direction } if self.tremor.is_none() && self.saccades.is_empty() => {
+                (*direction, radians_per_s * t_s)
+            }
+            _ => {
+                let turn = self.turn(t_s);
+                (turn.normalize_or(DVec2::X), turn.length())
+            }
+        };
+        DQuat::from_axis_angle(DVec3::new(direction.y, -direction.x, 0.0), angle)
     }
 
     /// Where the line of sight meets the screen: (X, Y)/distance from the fixated point, X right, Y up.
@@ -63,30 +173,162 @@ impl Gaze {
         let sight = self.orientation(t_s) * DVec3::NEG_Z;
         DVec2::new(sight.x, sight.y) / -sight.z * self.lever
     }
+
+    /// The line of sight on the screen from one time to another as straight lines: times (s) and places (unit tangents).
+    pub fn path(&self, from_s: f64, to_s: f64) -> Vec<(f64, DVec2)> {
+        let mut times = self.base.bends(from_s, to_s);
+        times.extend(
+            self.saccades.iter().flat_map(|s| [s.start_s, s.end_s]).filter(|t| *t > from_s && *t < to_s),
+        );
+        if let Some(tremor) = &self.tremor {
+            times.extend(tremor.bends(from_s, to_s));
+        }
+        times.push(to_s);
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        let mut path = vec![(from_s, self.screen_tangent(from_s))];
+        for t_s in times {
+            self.straighten((t_s, self.screen_tangent(t_s)), MAX_HALVINGS, &mut path);
+        }
+        path
+    }
+
+    /// Adds a point, and points before it until the path between is straight.
+    fn straighten(&self, to: (f64, DVec2), halvings: u32, path: &mut Vec<(f64, DVec2)>) {
+        if let Some(&from) = path.last()
+            && halvings > 0
+        {
+            let middle_s = 0.5 * (from.0 + to.0);
+            let middle = self.screen_tangent(middle_s);
+            if (middle - 0.5 * (from.1 + to.1)).length() > STRAIGHT {
+                self.straighten((middle_s, middle), halvings - 1, path);
+                self.straighten(to, halvings - 1, path);
+                return;
+            }
+        }
+        path.push(to);
+    }
+
+    /// The rectangle of the line of sight's places on the screen from time 0 on, unit tangents.
+    pub fn bounds(&self, duration_s: f64) -> [DVec2; 2] {
+        let straight =
+            matches!(self.base, Base::Drift { .. }) && self.tremor.is_none() && self.saccades.is_empty();
+        let points = if straight {
+            // A drift goes along a straight line on the screen.
+            vec![DVec2::ZERO, self.screen_tangent(duration_s)]
+        } else {
+            self.path(0.0, duration_s).into_iter().map(|p| p.1).collect()
+        };
+        points.into_iter().fold([DVec2::ZERO; 2], |[min, max], p| [min.min(p), max.max(p)])
+    }
+
+    /// Whether the eye rests.
+    pub fn is_still(&self) -> bool {
+        let still = match &self.base {
+            Base::Drift { radians_per_s, .. } => *radians_per_s <= 0.0,
+            _ => false,
+        };
+        still && self.tremor.is_none() && self.saccades.is_empty()
+    }
+}
+
+/// Bounds the work that movement asks for in a frame and over all.
+fn check_pieces(gaze: &experiment::Gaze, frame_s: f64, duration_s: f64) -> Result<(), RangeError> {
+    let field = "gaze.movement";
+    let most = |what: &str, pieces: f64, of: f64| {
+        let allowed = format!("at most {of} {what}");
+        if pieces > of { Err(RangeError::new(field, pieces, &allowed)) } else { Ok(()) }
+    };
+    if matches!(gaze.movement, Movement::Walk { .. }) {
+        most("steps of the random walk in a frame", frame_s / walk::STEP_S, MAX_PIECES)?;
+        most("steps of the random walk over all frames", duration_s / walk::STEP_S, 1e7)?;
+    }
+    if let Some(tremor) = &gaze.tremor {
+        most("periods of tremor in a frame", frame_s * tremor.to_hz, 500.0)?;
+        most("periods of tremor over all frames", duration_s * tremor.to_hz, 1e6)?;
+    }
+    if let Some(saccades) = &gaze.microsaccades {
+        most("microsaccades in a frame", frame_s * saccades.rate_hz, 100.0)?;
+        most("microsaccades over all frames", duration_s * saccades.rate_hz, 1e5)?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::experiment::{Microsaccades, Tremor as TremorSpec};
+
+    fn gaze_of(movement: Movement) -> experiment::Gaze {
+        experiment::Gaze { movement, ..experiment::Gaze::still([0.0; 2]) }
+    }
+
+    fn drift(speed_arcmin_per_s: f64, direction_deg: f64) -> experiment::Gaze {
+        gaze_of(Movement::Drift { speed_arcmin_per_s, direction_deg })
+    }
 
     #[test]
     fn the_default_drift_goes_right_and_up() {
-        let drift = Movement::Drift { speed_arcmin_per_s: 6.0, direction_deg: 30.0 };
-        let gaze = Gaze::new(drift, 1e12, 1.0).unwrap();
+        let gaze = Gaze::new(&drift(6.0, 30.0), 1e12, 1, 1.0).unwrap();
         let shift = gaze.screen_tangent(1.0);
         let angle = (0.1_f64).to_radians();
         assert!((shift - angle.tan() * DVec2::new(3_f64.sqrt() / 2.0, 0.5)).length() < 1e-12);
         // A frame: 1.7e-5 rad/s x 1/60 s keeps all its digits.
         let frame = gaze.screen_tangent(1.0 / 60.0).length();
         assert!((frame / (angle / 60.0) - 1.0).abs() < 1e-9);
+        assert_eq!(gaze.path(0.0, 1.0 / 60.0).len(), 2, "one straight line");
+    }
+
+    /// Listing's law: the axis of every turn lies in the plane across the line of sight at rest, so torsion is none.
+    #[test]
+    fn turns_have_no_torsion() {
+        let gaze = Gaze::new(&drift(1200.0, 40.0), 100.0, 60, 1.0 / 60.0).unwrap();
+        for t_s in [1e-9, 0.1, 1.0] {
+            assert!(gaze.orientation(t_s).z.abs() < 1e-15);
+        }
     }
 
     #[test]
     fn still_is_still_and_too_far_is_refused() {
-        let still = Gaze::new(Movement::Still, 100.0, 1e5).unwrap();
+        let still = Gaze::new(&gaze_of(Movement::Still), 100.0, 100_000, 1.0).unwrap();
         assert_eq!(still.screen_tangent(77.0), DVec2::ZERO);
-        let wild = Movement::Drift { speed_arcmin_per_s: 60000.0, direction_deg: 0.0 };
-        assert!(Gaze::new(wild, 100.0, 1.0).is_err());
-        assert!(Gaze::new(wild, 100.0, 0.01).is_ok());
+        assert!(still.is_still());
+        assert!(Gaze::new(&drift(60000.0, 0.0), 100.0, 1, 1.0).is_err());
+        let fast = Gaze::new(&drift(60000.0, 0.0), 100.0, 1, 0.04).unwrap();
+        let path = fast.path(0.0, 0.04);
+        assert!(path.len() > 10, "40° are not straight in time on a flat screen");
+        let last = path[path.len() - 1].1;
+        assert!((last.x / fast.lever - 40_f64.to_radians().tan()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_recorded_path_is_followed_and_its_end_stays() {
+        let samples = vec![[0.1, 0.0, 0.0], [0.2, 30.0, -60.0], [0.4, 30.0, 0.0]];
+        let gaze = Gaze::new(&gaze_of(Movement::Recorded(samples)), 1e9, 1, 1.0).unwrap();
+        let at = |t_s| gaze.screen_tangent(t_s) / radians(1.0);
+        assert!(at(0.05).length() < 1e-9 && (at(9.0) - DVec2::new(30.0, 0.0)).length() < 1e-2);
+        assert!((at(0.15) - DVec2::new(15.0, -30.0)).length() < 1e-2);
+        assert!((at(0.3) - DVec2::new(30.0, -30.0)).length() < 1e-2);
+        let times: Vec<f64> = gaze.path(0.0, 1.0).iter().map(|p| p.0).collect();
+        assert!([0.1, 0.2, 0.4].iter().all(|t| times.contains(t)), "{times:?}");
+    }
+
+    /// The straight lines of a path stay within the tolerance of the true path, whatever moves.
+    #[test]
+    fn paths_are_straight_enough() {
+        let mut gaze = gaze_of(Movement::Walk { unit_arcmin: 0.5 });
+        gaze.tremor = Some(TremorSpec { rms_arcmin: 0.3, from_hz: 30.0, to_hz: 100.0 });
+        gaze.microsaccades = Some(Microsaccades { rate_hz: 20.0, ..Microsaccades::default() });
+        let gaze = Gaze::new(&gaze, 60.0, 60, 1.0 / 60.0).unwrap();
+        let path = gaze.path(0.0, 0.5);
+        for pair in path.windows(2) {
+            for part in [0.2, 0.5, 0.9] {
+                let t_s = pair[0].0 + part * (pair[1].0 - pair[0].0);
+                let line = pair[0].1.lerp(pair[1].1, part);
+                assert!((gaze.screen_tangent(t_s) - line).length() < 2.0 * STRAIGHT, "{t_s}");
+            }
+        }
+        let [min, max] = gaze.bounds(1.0);
+        assert!(path.iter().all(|p| p.1.cmpge(min).all() && p.1.cmple(max).all()));
     }
 }

@@ -11,14 +11,80 @@ use super::error::{OpticsError, in_range};
 use super::object::Object;
 use super::prescription::Prescription;
 use super::schematic_eye::{EyeState, SchematicEye};
+use serde::{Deserialize, Serialize};
 
-/// Smallest and largest nominal A that focusing tries.
-const RANGE: (f64, f64) = (-2.0, 12.0);
+/// Navarro's accommodation law: what is added to each quantity, times ln(A + 1) or A.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AccommodationLaw {
+    /// Lens front radius, mm per unit of ln(A + 1).
+    pub lens_front_radius_mm: f64,
+    /// Lens back radius, mm per unit of ln(A + 1).
+    pub lens_back_radius_mm: f64,
+    /// Aqueous depth, mm per unit of ln(A + 1).
+    pub aqueous_depth_mm: f64,
+    /// Lens thickness, mm per unit of ln(A + 1).
+    pub lens_thickness_mm: f64,
+    /// Lens front conic constant per unit of ln(A + 1).
+    pub lens_front_conic: f64,
+    /// Lens back conic constant per unit of ln(A + 1).
+    pub lens_back_conic: f64,
+    /// Lens index per nominal dioptre.
+    pub lens_index_per_a: f64,
+    /// Lens index per squared nominal dioptre.
+    pub lens_index_per_a2: f64,
+    /// Smallest nominal A that the law is taken for.
+    pub least_a: f64,
+    /// Largest nominal A that the law is taken for.
+    pub most_a: f64,
+}
+
+impl Default for AccommodationLaw {
+    /// No change at all, over Navarro's range of A.
+    fn default() -> Self {
+        Self {
+            lens_front_radius_mm: 0.0,
+            lens_back_radius_mm: 0.0,
+            aqueous_depth_mm: 0.0,
+            lens_thickness_mm: 0.0,
+            lens_front_conic: 0.0,
+            lens_back_conic: 0.0,
+            lens_index_per_a: 0.0,
+            lens_index_per_a2: 0.0,
+            least_a: -2.0,
+            most_a: 12.0,
+        }
+    }
+}
+
+impl AccommodationLaw {
+    pub(super) fn validate(&self) -> Result<(), OpticsError> {
+        for (name, value, limit) in [
+            ("accommodation.lens_front_radius_mm", self.lens_front_radius_mm, 10.0),
+            ("accommodation.lens_back_radius_mm", self.lens_back_radius_mm, 10.0),
+            ("accommodation.aqueous_depth_mm", self.aqueous_depth_mm, 1.0),
+            ("accommodation.lens_thickness_mm", self.lens_thickness_mm, 1.0),
+            ("accommodation.lens_front_conic", self.lens_front_conic, 5.0),
+            ("accommodation.lens_back_conic", self.lens_back_conic, 5.0),
+            ("accommodation.lens_index_per_a", self.lens_index_per_a, 0.01),
+            ("accommodation.lens_index_per_a2", self.lens_index_per_a2, 0.001),
+        ] {
+            in_range(name, value, -limit, limit)?;
+        }
+        in_range("accommodation.least_a", self.least_a, -2.0, 0.0)?;
+        in_range("accommodation.most_a", self.most_a, 0.0, 20.0)?;
+        Ok(())
+    }
+
+    fn changes_nothing(&self) -> bool {
+        *self == Self { least_a: self.least_a, most_a: self.most_a, ..Self::default() }
+    }
+}
 
 impl Prescription {
     /// (radius, conic) of the lens front and back, aqueous depth, lens thickness (mm), lens index shift at nominal A.
     pub(super) fn accommodated(&self, a: f64) -> ((f64, f64), (f64, f64), f64, f64, f64) {
-        let law = &self.accommodation;
+        let law = self.accommodation.unwrap_or_default();
         let ln = if a < -0.5 { 0.5_f64.ln() + (a + 0.5) / 0.5 } else { a.ln_1p() };
         (
             (
@@ -36,13 +102,20 @@ impl Prescription {
     }
 }
 
+/// An eye that does not accommodate is taken as it is when its own focus is this near to the wanted one, D: about half of
+/// the depth of focus that people do not notice.
+pub const FOCUS_FITS_D: f64 = 0.25;
+/// Rays of a focusing step.
+const NODES: PupilNodes = PupilNodes { radial: 6, azimuth: 16, edge: 0 };
+
 impl SchematicEye {
     /// The nominal A with which light of `wavelength_nm` from `object_distance_mm` (from the corneal apex, ∞ allowed) is
     /// in best focus on the foveal centre: least tilt-removed wavefront error over the pupil. `accommodation_a` of the
-    /// state is ignored.
+    /// state is ignored. An eye that does not accommodate gives 0 when its own focus is within [`FOCUS_FITS_D`].
     ///
     /// # Errors
-    /// [`OpticsError`] for values out of range, or a distance nearer than A = 12 can focus.
+    /// [`OpticsError`] for values out of range, a distance nearer than the law's largest A can focus or farther than its
+    /// smallest can, or [`OpticsError::CannotFocus`].
     pub fn accommodation_for(
         p: &Prescription,
         state_without_a: &EyeState,
@@ -52,15 +125,25 @@ impl SchematicEye {
         in_range("focus.distance (mm)", object_distance_mm, 50.0, f64::INFINITY)?;
         in_range("focus.wavelength_nm", wavelength_nm, 365.0, 1014.0)?;
         let vergence_d = 1e3 / object_distance_mm;
+        let Some(law) = p.accommodation.filter(|law| !law.changes_nothing()) else {
+            let relaxed = SchematicEye::new(p, &EyeState { accommodation_a: 0.0, ..*state_without_a })?;
+            let relaxed_d = relaxed.focus_vergence_d(wavelength_nm)?;
+            if (relaxed_d - vergence_d).abs() <= FOCUS_FITS_D {
+                return Ok(0.0);
+            }
+            let why =
+                format!("it has no accommodation law and is taken as it is only within {FOCUS_FITS_D} D");
+            return Err(OpticsError::CannotFocus { wanted_d: vergence_d, relaxed_d, why });
+        };
         let variance = |a: f64| -> Result<f64, OpticsError> {
             let eye = SchematicEye::new(p, &EyeState { accommodation_a: a, ..*state_without_a })?;
             let object = Object::field(p.fovea_angle_deg, vergence_d)?;
-            let nodes = PupilNodes { radial: 6, azimuth: 16, edge: 0 };
-            Ok(PupilBundle::trace(&eye, object, wavelength_nm, nodes)?.variance_mm2())
+            Ok(PupilBundle::trace(&eye, object, wavelength_nm, NODES)?.variance_mm2())
         };
-        // Walk to a bracket of the minimum, then golden section with parabolic steps.
+        // Walk to a bracket of the minimum, then parabolic steps.
         let step = 0.25;
-        let mut middle = (vergence_d * 0.85).clamp(RANGE.0 + step, RANGE.1 - step);
+        let (least, most) = (law.least_a + step, (law.most_a - step).max(law.least_a + step));
+        let mut middle = (vergence_d * 0.85).clamp(least, most);
         let mut at = variance(middle)?;
         for _ in 0..64 {
             let (low, high) = (variance(middle - step)?, variance(middle + step)?);
@@ -69,14 +152,38 @@ impl SchematicEye {
             }
             middle += if low < high { -step } else { step };
             at = low.min(high);
-            in_range("accommodation needed (nominal A)", middle, RANGE.0 + step, RANGE.1 - step)?;
+            in_range("eye.focus.distance_cm (nominal accommodation that it needs)", middle, least, most)?;
         }
         Err(OpticsError::OutOfRange {
-            field: "accommodation needed (nominal A)",
+            field: "eye.focus.distance_cm (nominal accommodation that it needs)",
             value: middle,
-            min: RANGE.0,
-            max: RANGE.1,
+            min: law.least_a,
+            max: law.most_a,
         })
+    }
+
+    /// Vergence (D; 0 infinity, 2 an object 500 mm from the corneal apex, negative beyond infinity) of the foveal object
+    /// that this eye, as it is accommodated, has in best focus at a vacuum wavelength: least tilt-removed wavefront error.
+    ///
+    /// # Errors
+    /// [`OpticsError`] when there is none within ±19 D.
+    pub fn focus_vergence_d(&self, wavelength_nm: f64) -> Result<f64, OpticsError> {
+        let variance = |vergence_d: f64| -> Result<f64, OpticsError> {
+            let object = Object::field(self.prescription.fovea_angle_deg, vergence_d)?;
+            Ok(PupilBundle::trace(self, object, wavelength_nm, NODES)?.variance_mm2())
+        };
+        let step = 0.5;
+        let (mut middle, mut at) = (0.0, variance(0.0)?);
+        for _ in 0..40 {
+            let (low, high) = (variance(middle - step)?, variance(middle + step)?);
+            if low >= at && high >= at {
+                return minimum(&variance, middle, step);
+            }
+            middle += if low < high { -step } else { step };
+            at = low.min(high);
+            in_range("focus of the eye (D)", middle, -19.0, 19.0)?;
+        }
+        Err(OpticsError::OutOfRange { field: "focus of the eye (D)", value: middle, min: -19.0, max: 19.0 })
     }
 }
 

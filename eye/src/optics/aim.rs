@@ -7,6 +7,7 @@ use super::error::{OpticsError, in_range};
 use super::object::Object;
 use super::schematic_eye::SchematicEye;
 use super::trace::{Ray, RayFate, Traced};
+use super::zernike::ExtraWavefront;
 use glam::{DMat2, DVec2, DVec3};
 
 /// Rays start this far before the entrance pupil, mm: outside of every eye.
@@ -51,6 +52,11 @@ impl<'a> Aimer<'a> {
 
     pub(super) fn trace(&self, ray: &Ray) -> Traced {
         self.eye.trace_with(ray, &self.indices)
+    }
+
+    /// The eye and its measured wavefront, if it has one.
+    pub(super) fn extra(&self) -> Option<(&SchematicEye, &ExtraWavefront)> {
+        self.eye.prescription().wavefront.as_ref().map(|wavefront| (self.eye, wavefront))
     }
 
     pub(super) fn stop_radius_mm(&self) -> f64 {

@@ -202,12 +202,21 @@ impl Tracer<'_> {
             .collect()
     }
 
+    /// A measured wavefront error at a place of the stop, mm of air; 0 at its centre.
+    fn extra_mm(&self, stop: DVec2) -> f64 {
+        let Some((eye, wavefront)) = self.aimer.extra() else { return 0.0 };
+        let radius_mm = eye.stop_radius_mm() * eye.stop_magnification();
+        let at = |p: DVec2| wavefront.error_um(eye.state().side, p * radius_mm);
+        1e-3 * (at(stop) - at(DVec2::ZERO))
+    }
+
     fn ray(&self, stop: DVec2, weight: f64, uv: DVec2) -> Option<PupilRay> {
         let (ray, before) = self.aimer.launch(uv);
         let traced = self.aimer.trace(&ray);
         // The rim may fail the iris by a rounding error; what counts is that the retina is reached.
         let landing = traced.hits[4]?;
         let (path, q) = self.sphere.meet(&traced, before)?;
+        let path = path - self.extra_mm(stop);
         Some(PupilRay {
             stop,
             weight,

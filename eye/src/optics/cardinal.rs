@@ -1,8 +1,10 @@
 //! Cardinal values by paraxial tracing: n' u' = n u − y φ at a surface, y' = y + u t between surfaces.
 //!
+//! Toric surfaces count with their mean curvature; a lens with a gradient is followed by its paraxial ray equation.
 //! Distances in mm from the corneal apex, powers in dioptres.
 
 use super::schematic_eye::SchematicEye;
+use glam::DVec3;
 
 /// Paraxial values of an eye at one wavelength.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,13 +29,21 @@ impl SchematicEye {
     /// The cardinal values at a vacuum wavelength (nm).
     pub fn cardinal(&self, wavelength_nm: f64) -> Cardinal {
         let n = self.indices(wavelength_nm);
-        let z: [f64; 4] = std::array::from_fn(|k| self.surfaces[k].vertex_z);
-        let phi: [f64; 4] = std::array::from_fn(|k| (n[k + 1] - n[k]) / self.surfaces[k].radius);
+        let z: [f64; 4] = std::array::from_fn(|k| self.surfaces[k].conic.vertex_z);
+        // The index just before the lens back, which differs from that of its front in a gradient.
+        let lens = self.gradient.as_ref();
+        let n_back = lens.map_or(n[3], |lens| lens.smooth_index_at(n[3], DVec3::new(0.0, 0.0, z[3])));
+        let phi: [f64; 4] = std::array::from_fn(|k| {
+            let before = if k == 3 { n_back } else { n[k] };
+            (n[k + 1] - before) / self.surfaces[k].conic.radius
+        });
         // Forward from surface `from`, starting with height y and reduced angle nu before it.
         let forward = |from: usize, mut y: f64, mut nu: f64| {
             for k in from..4 {
                 nu -= y * phi[k];
-                if k < 3 {
+                if let (Some(lens), 2) = (lens, k) {
+                    (y, nu) = lens.paraxial(n[3], z[3] - z[2], y, nu, false);
+                } else if k < 3 {
                     y += nu / n[k + 1] * (z[k + 1] - z[k]);
                 }
             }
@@ -43,7 +53,9 @@ impl SchematicEye {
         let backward = |from: usize, mut y: f64, mut nu: f64| {
             for k in (0..=from).rev() {
                 nu += y * phi[k];
-                if k > 0 {
+                if let (Some(lens), 3) = (lens, k) {
+                    (y, nu) = lens.paraxial(n[3], z[3] - z[2], y, nu, true);
+                } else if k > 0 {
                     y -= nu / n[k] * (z[k] - z[k - 1]);
                 }
             }

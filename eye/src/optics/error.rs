@@ -31,6 +31,27 @@ pub enum OpticsError {
         /// Largest value allowed.
         max: f64,
     },
+    /// A value that is wrong in another way than by its range.
+    #[error("{field}: {why}")]
+    Wrong {
+        /// The field, as the caller names it.
+        field: &'static str,
+        /// What is wrong, and what is allowed.
+        why: String,
+    },
+    /// The wanted focus is beyond what the eye can accommodate to.
+    #[error(
+        "eye.focus.distance_cm: {wanted_d:.3} D (1/m from the corneal apex) is beyond this eye: {why}; relaxed it is focused at \
+         {relaxed_d:.3} D; with focus.relaxed it stays so"
+    )]
+    CannotFocus {
+        /// Vergence of the wanted object, D; 0 at infinity, 2 at 500 mm.
+        wanted_d: f64,
+        /// Vergence in focus of the unaccommodated eye, D.
+        relaxed_d: f64,
+        /// What it can do.
+        why: String,
+    },
     /// A direction of no length, or not finite.
     #[error("{field}: a direction must be finite and longer than zero")]
     NoDirection {

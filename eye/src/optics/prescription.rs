@@ -1,23 +1,18 @@
-//! The data of an eye (§8, §9): surfaces, media, accommodation law, pupil, fovea. An eye is a file in `data/eyes`.
+//! The data of an eye (§8, §9): surfaces, media, accommodation law, pupil, fovea, measured wavefront. An eye is a file in
+//! `data/eyes`, or what an experiment says.
 //!
-//! Indices, λ the vacuum wavelength:
-//! * `Polyline`: linear between the tabulated wavelengths, end segments extended (the paper's choice).
-//! * `Herzberger`: n(λ) = Σ a_i(λ) n_i, a_i = A_i + B_i λ² + P_i L + R_i L², L = 1/(λ² − λ0²), λ in µm
-//!   (Navarro, Santamaría & Bescós 1985).
+//! Units: mm, nm, degrees. A radius is positive when the centre of curvature lies towards the retina. Angles across the
+//! axis are the clinician's: seen from in front of the eye, counter-clockwise from the right.
 //!
-//! Units: mm, nm, degrees. A radius is positive when the centre of curvature lies towards the retina.
+//! The retina is a sphere, whatever the source of an eye says: cones live on one.
 
+use super::accommodation::AccommodationLaw;
+use super::dispersion::{Dispersion, HerzbergerIndices, PolylineIndices, QuadraticIndices};
 use super::error::{OpticsError, in_range};
+use super::gradient::LensGradient;
+use super::zernike::ExtraWavefront;
+use glam::DVec2;
 use serde::{Deserialize, Serialize};
-
-/// How the indices between the tabulated wavelengths are found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Dispersion {
-    /// Navarro 1985; smooth; longitudinal chromatic aberration 2.47 D over 400–700 nm.
-    Herzberger,
-    /// Four points joined by straight lines, as the paper does; 2.00 D over 400–700 nm.
-    Polyline,
-}
 
 /// Which eye.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,6 +21,28 @@ pub enum Side {
     Right,
     /// The left eye, the mirror image.
     Left,
+}
+
+impl Side {
+    /// Right and up as a clinician sees them from in front of the eye, as (x, y) of the eye frame.
+    pub fn clinician_axes(self) -> [DVec2; 2] {
+        match self {
+            Self::Right => [DVec2::NEG_Y, DVec2::NEG_X],
+            Self::Left => [DVec2::Y, DVec2::X],
+        }
+    }
+}
+
+/// The second meridian of a toric surface.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ToricData {
+    /// Vertex radius across the axis, mm; the surface's `radius_mm` is along it.
+    pub radius_mm: f64,
+    /// Conic constant across the axis.
+    pub conic: f64,
+    /// The meridian along which `radius_mm` of the surface is, degrees, clinician's, 0 to 180.
+    pub axis_deg: f64,
 }
 
 /// One refracting surface and the distance to the next.
@@ -38,70 +55,32 @@ pub struct SurfaceData {
     pub conic: f64,
     /// Axial distance to the next surface, mm.
     pub thickness_mm: f64,
+    /// The other meridian, when the surface is toric.
+    #[serde(default)]
+    pub toric: Option<ToricData>,
 }
 
-/// Indices at tabulated wavelengths, joined by straight lines.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PolylineIndices {
-    /// Vacuum wavelengths, nm, rising.
-    pub wavelength_nm: [f64; 4],
-    /// Index of the cornea at each wavelength.
-    pub cornea: [f64; 4],
-    /// Index of the aqueous humour.
-    pub aqueous: [f64; 4],
-    /// Index of the unaccommodated lens.
-    pub lens: [f64; 4],
-    /// Index of the vitreous humour.
-    pub vitreous: [f64; 4],
-}
+/// Radii of either face of the cornea, mm.
+const CORNEA_RADII_MM: (f64, f64) = (3.0, 30.0);
 
-/// Indices at four wavelengths with Herzberger's interpolation.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct HerzbergerIndices {
-    /// λ0, µm.
-    pub pole_um: f64,
-    /// The four defining wavelengths, nm.
-    pub wavelength_nm: [f64; 4],
-    /// A_i.
-    pub constant: [f64; 4],
-    /// B_i, µm⁻².
-    pub square: [f64; 4],
-    /// P_i, µm².
-    pub pole: [f64; 4],
-    /// R_i, µm⁴.
-    pub pole_square: [f64; 4],
-    /// Index of the cornea at the four wavelengths.
-    pub cornea: [f64; 4],
-    /// Index of the aqueous humour.
-    pub aqueous: [f64; 4],
-    /// Index of the unaccommodated lens.
-    pub lens: [f64; 4],
-    /// Index of the vitreous humour.
-    pub vitreous: [f64; 4],
-}
-
-/// Navarro's accommodation law: what is added to each quantity, times ln(A + 1) or A.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct AccommodationLaw {
-    /// Lens front radius, mm per unit of ln(A + 1).
-    pub lens_front_radius_mm: f64,
-    /// Lens back radius, mm per unit of ln(A + 1).
-    pub lens_back_radius_mm: f64,
-    /// Aqueous depth, mm per unit of ln(A + 1).
-    pub aqueous_depth_mm: f64,
-    /// Lens thickness, mm per unit of ln(A + 1).
-    pub lens_thickness_mm: f64,
-    /// Lens front conic constant per unit of ln(A + 1).
-    pub lens_front_conic: f64,
-    /// Lens back conic constant per unit of ln(A + 1).
-    pub lens_back_conic: f64,
-    /// Lens index per nominal dioptre.
-    pub lens_index_per_a: f64,
-    /// Lens index per squared nominal dioptre.
-    pub lens_index_per_a2: f64,
+impl SurfaceData {
+    /// `names`: of radius, conic and thickness.
+    fn validate(
+        &self,
+        names: [&'static str; 3],
+        radii_mm: (f64, f64),
+        thicknesses_mm: (f64, f64),
+    ) -> Result<(), OpticsError> {
+        in_range(names[0], self.radius_mm, radii_mm.0, radii_mm.1)?;
+        in_range(names[1], self.conic, -20.0, 20.0)?;
+        in_range(names[2], self.thickness_mm, thicknesses_mm.0, thicknesses_mm.1)?;
+        if let Some(toric) = self.toric {
+            in_range("toric.radius_mm", toric.radius_mm, radii_mm.0, radii_mm.1)?;
+            in_range("toric.conic", toric.conic, -20.0, 20.0)?;
+            in_range("toric.axis_deg", toric.axis_deg, 0.0, 180.0)?;
+        }
+        Ok(())
+    }
 }
 
 /// The data of an eye.
@@ -122,12 +101,24 @@ pub struct Prescription {
     pub lens_back: SurfaceData,
     /// Retina, a sphere; mm, negative (centre towards the cornea).
     pub retina_radius_mm: f64,
-    /// Indices for [`Dispersion::Polyline`].
-    pub polyline: PolylineIndices,
-    /// Indices for [`Dispersion::Herzberger`].
-    pub herzberger: HerzbergerIndices,
-    /// How the lens changes with accommodation.
-    pub accommodation: AccommodationLaw,
+    /// Indices for [`Dispersion::Polyline`], if known.
+    #[serde(default)]
+    pub polyline: Option<PolylineIndices>,
+    /// Indices for [`Dispersion::Herzberger`], if known.
+    #[serde(default)]
+    pub herzberger: Option<HerzbergerIndices>,
+    /// Indices for [`Dispersion::Quadratic`], if known.
+    #[serde(default)]
+    pub quadratic: Option<QuadraticIndices>,
+    /// How the index changes inside the lens, if it does.
+    #[serde(default)]
+    pub lens_gradient: Option<LensGradient>,
+    /// How the lens changes with accommodation; without it, or with zeros, it does not.
+    #[serde(default)]
+    pub accommodation: Option<AccommodationLaw>,
+    /// A measured wavefront error in the pupil on top of that of the surfaces, if any.
+    #[serde(default)]
+    pub wavefront: Option<ExtraWavefront>,
     /// Wavelength at which the fovea and the stop magnification are defined, nm.
     pub reference_wavelength_nm: f64,
     /// Default decentre of the stop towards −y, mm.
@@ -150,6 +141,14 @@ impl Prescription {
             name: name.to_owned(),
             known: crate::catalog::names("eyes").join(", "),
         })?;
+        Self::from_json(name, text)
+    }
+
+    /// An eye from the text of a data file (JSON, field for field as here).
+    ///
+    /// # Errors
+    /// [`OpticsError::BadData`] when the text does not parse; otherwise as [`Prescription::validate`].
+    pub fn from_json(name: &str, text: &str) -> Result<Self, OpticsError> {
         let eye: Self = serde_json::from_str(text)
             .map_err(|e| OpticsError::BadData { name: name.to_owned(), reason: e.to_string() })?;
         eye.validate()?;
@@ -159,37 +158,73 @@ impl Prescription {
     /// Checks every length, conic and index.
     ///
     /// # Errors
-    /// [`OpticsError::OutOfRange`] naming the first field that is not plausible for an eye.
+    /// [`OpticsError::OutOfRange`] naming the first field that is not plausible for an eye; [`OpticsError::Wrong`] when
+    /// fields do not fit together.
     pub fn validate(&self) -> Result<(), OpticsError> {
-        in_range("cornea_front.radius_mm", self.cornea_front.radius_mm, 3.0, 30.0)?;
-        in_range("cornea_back.radius_mm", self.cornea_back.radius_mm, 3.0, 30.0)?;
-        in_range("lens_front.radius_mm", self.lens_front.radius_mm, 3.0, 60.0)?;
-        in_range("lens_back.radius_mm", self.lens_back.radius_mm, -60.0, -3.0)?;
+        self.cornea_front.validate(
+            ["cornea_front.radius_mm", "cornea_front.conic", "cornea_front.thickness_mm"],
+            CORNEA_RADII_MM,
+            (0.1, 2.0),
+        )?;
+        self.cornea_back.validate(
+            ["cornea_back.radius_mm", "cornea_back.conic", "cornea_back.thickness_mm"],
+            CORNEA_RADII_MM,
+            (1.0, 6.0),
+        )?;
+        self.lens_front.validate(
+            ["lens_front.radius_mm", "lens_front.conic", "lens_front.thickness_mm"],
+            (3.0, 60.0),
+            (1.0, 8.0),
+        )?;
+        self.lens_back.validate(
+            ["lens_back.radius_mm", "lens_back.conic", "lens_back.thickness_mm"],
+            (-60.0, -3.0),
+            (8.0, 30.0),
+        )?;
         in_range("retina_radius_mm", self.retina_radius_mm, -20.0, -8.0)?;
-        for s in [self.cornea_front, self.cornea_back, self.lens_front, self.lens_back] {
-            in_range("conic", s.conic, -20.0, 20.0)?;
+        if self.dispersions().is_empty() {
+            let why = "an eye needs one of `polyline`, `herzberger`, `quadratic`".into();
+            return Err(OpticsError::Wrong { field: "indices", why });
         }
-        in_range("cornea_front.thickness_mm", self.cornea_front.thickness_mm, 0.1, 2.0)?;
-        in_range("cornea_back.thickness_mm", self.cornea_back.thickness_mm, 1.0, 6.0)?;
-        in_range("lens_front.thickness_mm", self.lens_front.thickness_mm, 1.0, 8.0)?;
-        in_range("lens_back.thickness_mm", self.lens_back.thickness_mm, 8.0, 30.0)?;
-        let p = &self.polyline;
-        let h = &self.herzberger;
-        for index in [p.cornea, p.aqueous, p.lens, p.vitreous, h.cornea, h.aqueous, h.lens, h.vitreous] {
-            for n in index {
-                in_range("index", n, 1.2, 1.7)?;
-            }
-        }
-        for pair in p.wavelength_nm.windows(2) {
-            in_range("polyline.wavelength_nm", pair[1], pair[0] + 1.0, 2000.0)?;
-        }
-        in_range("herzberger.pole_um", h.pole_um, 0.0, 0.25)?;
+        self.polyline.as_ref().map_or(Ok(()), PolylineIndices::validate)?;
+        self.herzberger.as_ref().map_or(Ok(()), HerzbergerIndices::validate)?;
+        self.quadratic.as_ref().map_or(Ok(()), QuadraticIndices::validate)?;
+        self.lens_gradient.as_ref().map_or(Ok(()), |g| g.validate(self.lens_front.thickness_mm))?;
+        self.accommodation.as_ref().map_or(Ok(()), AccommodationLaw::validate)?;
+        self.wavefront.as_ref().map_or(Ok(()), ExtraWavefront::validate)?;
         in_range("reference_wavelength_nm", self.reference_wavelength_nm, 390.0, 830.0)?;
         in_range("stop_decentre_mm", self.stop_decentre_mm, 0.0, 1.0)?;
         in_range("fovea_angle_deg", self.fovea_angle_deg, 0.0, 15.0)?;
         in_range("rotation_centre_behind_apex_mm", self.rotation_centre_behind_apex_mm, 5.0, 20.0)?;
         in_range("rotation_centre_nasal_mm", self.rotation_centre_nasal_mm, -3.0, 3.0)?;
         Ok(())
+    }
+
+    /// The same eye with every toric surface replaced by its mean conic.
+    pub fn without_astigmatism(&self) -> Self {
+        let round = |s: SurfaceData| match s.toric {
+            None => s,
+            Some(t) => SurfaceData {
+                radius_mm: 2.0 / (1.0 / s.radius_mm + 1.0 / t.radius_mm),
+                conic: 0.5 * (s.conic + t.conic),
+                toric: None,
+                ..s
+            },
+        };
+        Self {
+            cornea_front: round(self.cornea_front),
+            cornea_back: round(self.cornea_back),
+            lens_front: round(self.lens_front),
+            lens_back: round(self.lens_back),
+            ..self.clone()
+        }
+    }
+
+    /// Whether a surface is toric.
+    pub fn is_astigmatic(&self) -> bool {
+        [self.cornea_front, self.cornea_back, self.lens_front, self.lens_back]
+            .iter()
+            .any(|s| s.toric.is_some())
     }
 
     /// Distance from the corneal apex to the retina, mm; accommodation keeps it.
@@ -200,29 +235,54 @@ impl Prescription {
             + self.lens_back.thickness_mm
     }
 
-    /// Indices of air, cornea, aqueous, unaccommodated lens and vitreous. The wavelength is held to 300–1200 nm,
-    /// outside of which neither law has a meaning.
+    /// The dispersion laws that it has tables for.
+    pub fn dispersions(&self) -> Vec<Dispersion> {
+        let laws = [
+            (self.herzberger.is_some(), Dispersion::Herzberger),
+            (self.quadratic.is_some(), Dispersion::Quadratic),
+            (self.polyline.is_some(), Dispersion::Polyline),
+        ];
+        laws.into_iter().filter(|(there, _)| *there).map(|(_, law)| law).collect()
+    }
+
+    /// The law to take when none is asked for: Herzberger's where the eye has it.
+    pub fn default_dispersion(&self) -> Dispersion {
+        self.dispersions().first().copied().unwrap_or(Dispersion::Herzberger)
+    }
+
+    /// Checks that it has tables for a dispersion law.
+    ///
+    /// # Errors
+    /// [`OpticsError::Wrong`] naming the laws that it has.
+    pub fn check_dispersion(&self, dispersion: Dispersion) -> Result<(), OpticsError> {
+        let have = self.dispersions();
+        if have.contains(&dispersion) {
+            return Ok(());
+        }
+        let names: Vec<String> = have.iter().map(|law| format!("`{}`", law.name())).collect();
+        Err(OpticsError::Wrong {
+            field: "dispersion",
+            why: format!(
+                "this eye has no table for `{}`, expected one of {}",
+                dispersion.name(),
+                names.join(", ")
+            ),
+        })
+    }
+
+    /// Indices of air, cornea, aqueous, unaccommodated lens (at its front vertex) and vitreous. The wavelength is held to
+    /// 300–1200 nm, outside of which no law has a meaning; a law without a table gives those of the eye's first one.
     pub fn indices(&self, dispersion: Dispersion, wavelength_nm: f64) -> [f64; 5] {
         let nm = wavelength_nm.clamp(300.0, 1200.0);
         let nm = if nm.is_nan() { self.reference_wavelength_nm } else { nm };
-        match dispersion {
-            Dispersion::Polyline => {
-                let p = &self.polyline;
-                let k = (1..3).find(|&k| nm < p.wavelength_nm[k]).unwrap_or(3);
-                let u = (nm - p.wavelength_nm[k - 1]) / (p.wavelength_nm[k] - p.wavelength_nm[k - 1]);
-                let at = |n: &[f64; 4]| n[k - 1] + u * (n[k] - n[k - 1]);
-                [1.0, at(&p.cornea), at(&p.aqueous), at(&p.lens), at(&p.vitreous)]
-            }
-            Dispersion::Herzberger => {
-                let h = &self.herzberger;
-                let l2 = (nm * 1e-3) * (nm * 1e-3);
-                let l = 1.0 / (l2 - h.pole_um * h.pole_um);
-                let a: [f64; 4] = std::array::from_fn(|i| {
-                    h.constant[i] + h.square[i] * l2 + h.pole[i] * l + h.pole_square[i] * l * l
-                });
-                let at = |n: &[f64; 4]| a[0] * n[0] + a[1] * n[1] + a[2] * n[2] + a[3] * n[3];
-                [1.0, at(&h.cornea), at(&h.aqueous), at(&h.lens), at(&h.vitreous)]
-            }
-        }
+        let wanted = match dispersion {
+            Dispersion::Polyline => self.polyline.as_ref().map(|p| p.at(nm)),
+            Dispersion::Herzberger => self.herzberger.as_ref().map(|h| h.at(nm)),
+            Dispersion::Quadratic => self.quadratic.as_ref().map(|q| q.at(nm)),
+        };
+        let other = || self.herzberger.as_ref().map(|h| h.at(nm));
+        let other = || other().or_else(|| self.quadratic.as_ref().map(|q| q.at(nm)));
+        let other = || other().or_else(|| self.polyline.as_ref().map(|p| p.at(nm)));
+        wanted.or_else(other).unwrap_or([1.0; 5])
     }
 }

@@ -24,7 +24,8 @@ pub struct Fovea {
 }
 
 impl Fovea {
-    /// The frame of a fovea at `position` (mm, in the plane x = 0) on the sphere about `centre`.
+    /// The frame of a fovea at `position` (mm) on the sphere about `centre`. It lies in the plane x = 0, unless the surfaces are
+    /// toric at an oblique axis; then superior is the tangent nearest to that of the plane.
     pub fn new(position: DVec3, centre: DVec3, side: Side) -> Self {
         let arm = position - centre;
         let radius_mm = arm.length();
@@ -33,6 +34,12 @@ impl Fovea {
             Side::Right => DVec3::NEG_X,
             Side::Left => DVec3::X,
         };
+        if outward.x.abs() > 1e-9 {
+            let superior = superior - superior.dot(outward) * outward;
+            let superior = superior / superior.length().max(1e-300);
+            let nasal = if side == Side::Right { outward.cross(superior) } else { superior.cross(outward) };
+            return Self { position, nasal, superior, outward, centre, radius_mm };
+        }
         // Nasal completes the frame: towards −y whichever side.
         let nasal = DVec3::new(0.0, -outward.z, outward.y);
         Self { position, nasal, superior, outward, centre, radius_mm }
@@ -70,5 +77,30 @@ impl Fovea {
         let around = cos * self.superior - sin * self.nasal;
         let normal = -(ecc.sin() * across + ecc.cos() * self.outward);
         [cos * radial - sin * around, sin * radial + cos * around, normal]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The frame of a fovea off the plane of symmetry goes over into that of one in it.
+    #[test]
+    fn frames_off_the_plane_of_symmetry() {
+        for side in [Side::Right, Side::Left] {
+            let frame = |x: f64| Fovea::new(DVec3::new(x, 1.4, 23.8), DVec3::new(0.0, 0.0, 11.9), side);
+            let (on, off) = (frame(0.0), frame(1e-6));
+            assert!(
+                (on.nasal - off.nasal).length() + (on.superior - off.superior).length() < 1e-6,
+                "{side:?}"
+            );
+            let f = frame(0.3);
+            assert!(f.nasal.dot(f.superior).abs() + f.nasal.dot(f.outward).abs() < 1e-15);
+            assert!(
+                f.um_from_point(f.point_from_um(DVec2::new(500.0, -300.0)))
+                    .distance(DVec2::new(500.0, -300.0))
+                    < 1e-8
+            );
+        }
     }
 }

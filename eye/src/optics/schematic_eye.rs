@@ -1,23 +1,26 @@
 //! A prescription in a state (pupil, accommodation, dispersion, side): the eye that rays are traced through.
 
 use super::cardinal::Cardinal;
+use super::dispersion::Dispersion;
 use super::error::{OpticsError, in_range};
+use super::gradient::GradientLens;
 use super::object::Object;
-use super::prescription::{Dispersion, Prescription, Side};
+use super::prescription::{Prescription, Side, SurfaceData};
 use super::retina_frame::Fovea;
-use super::surface::Conic;
+use super::surface::{Conic, Surface};
+use super::toric::Toric;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 /// What changes from moment to moment, or from question to question.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EyeState {
-    /// Entrance pupil diameter, mm, 0.5 to 9; the stop is smaller by the magnification of the unaccommodated eye at the
-    /// reference wavelength (1.1334061), at every wavelength.
+    /// Entrance pupil diameter, mm, 0.5 to 9; the stop is smaller by the magnification of the unaccommodated eye at its
+    /// reference wavelength (1.1334061 in the wide-angle eye), at every wavelength.
     pub pupil_mm: f64,
     /// Decentre of the stop towards −y (nasal pupil), mm, −1 to 1.
     pub decentre_mm: f64,
-    /// Nominal accommodation of Navarro's law, −2 to 12; 0 is unaccommodated.
+    /// Nominal accommodation within the range of the eye's law; 0 is unaccommodated, and all there is without a law.
     pub accommodation_a: f64,
     /// Dispersion law.
     pub dispersion: Dispersion,
@@ -30,7 +33,8 @@ pub struct EyeState {
 pub struct SchematicEye {
     pub(super) prescription: Prescription,
     pub(super) state: EyeState,
-    pub(super) surfaces: [Conic; 5],
+    pub(super) surfaces: [Surface; 5],
+    pub(super) gradient: Option<GradientLens>,
     pub(super) stop_z: f64,
     pub(super) stop_radius_mm: f64,
     stop_magnification: f64,
@@ -40,6 +44,22 @@ pub struct SchematicEye {
     pub(super) entrance_pupil: DVec3,
     object_distance_mm: f64,
     fovea: Fovea,
+}
+
+/// A surface with its vertex, radius and conic constant in this state (`along`); the second meridian of a toric one keeps its
+/// differences to the first.
+fn placed(data: &SurfaceData, along: Conic, side: Side) -> Surface {
+    let Some(toric) = data.toric else { return Surface { conic: along, toric: None } };
+    let radius = along.radius + (toric.radius_mm - data.radius_mm);
+    let conic = along.conic + (toric.conic - data.conic);
+    let curvature = [1.0 / along.radius, 1.0 / radius];
+    let [right, up] = side.clinician_axes();
+    let (sin, cos) = crate::math::sin_cos(toric.axis_deg.to_radians());
+    let axis = cos * right + sin * up;
+    let mean =
+        Conic { radius: 2.0 / (curvature[0] + curvature[1]), conic: 0.5 * (along.conic + conic), ..along };
+    let toric = Toric { vertex_z: along.vertex_z, axis, curvature, conic: [along.conic, conic] };
+    Surface { conic: mean, toric: Some(toric) }
 }
 
 impl SchematicEye {
@@ -52,7 +72,18 @@ impl SchematicEye {
         p.validate()?;
         in_range("pupil_mm", s.pupil_mm, 0.5, 9.0)?;
         in_range("decentre_mm", s.decentre_mm, -1.0, 1.0)?;
-        in_range("accommodation_a", s.accommodation_a, -2.0, 12.0)?;
+        let law = p.accommodation;
+        let (least, most) = law.map_or((0.0, 0.0), |law| (law.least_a, law.most_a));
+        in_range("accommodation_a", s.accommodation_a, least, most)?;
+        p.check_dispersion(s.dispersion)?;
+        if let Some(wavefront) = &p.wavefront {
+            in_range("pupil_mm (with a measured wavefront)", s.pupil_mm, 0.5, wavefront.pupil_mm + 1e-9)?;
+        }
+        let (front, back, depth, thickness, _) = p.accommodated(s.accommodation_a);
+        in_range("lens front radius, accommodated (mm)", front.0, 1.0, 100.0)?;
+        in_range("lens back radius, accommodated (mm)", back.0, -100.0, -1.0)?;
+        in_range("aqueous depth, accommodated (mm)", depth, 0.5, 7.0)?;
+        in_range("lens thickness, accommodated (mm)", thickness, 0.5, 9.0)?;
         let stop_magnification = Self::relaxed_magnification(p, s);
         let eye = Self::build(p, s, s.pupil_mm / stop_magnification / 2.0, stop_magnification);
         eye.at_distance(f64::INFINITY)
@@ -74,11 +105,17 @@ impl SchematicEye {
     }
 
     fn relaxed_magnification(p: &Prescription, s: &EyeState) -> f64 {
-        let relaxed = EyeState { accommodation_a: 0.0, dispersion: Dispersion::Polyline, ..*s };
+        let dispersion = if p.polyline.is_some() { Dispersion::Polyline } else { s.dispersion };
+        let relaxed = EyeState { accommodation_a: 0.0, dispersion, ..*s };
         Self::build(p, &relaxed, 1.0, 1.0).cardinal(p.reference_wavelength_nm).stop_magnification
     }
 
-    fn build(p: &Prescription, s: &EyeState, stop_radius_mm: f64, stop_magnification: f64) -> Self {
+    pub(super) fn build(
+        p: &Prescription,
+        s: &EyeState,
+        stop_radius_mm: f64,
+        stop_magnification: f64,
+    ) -> Self {
         let (lens_front, lens_back, depth, lens_thickness, lens_index_shift) =
             p.accommodated(s.accommodation_a);
         let cornea = p.cornea_front.thickness_mm;
@@ -86,18 +123,22 @@ impl SchematicEye {
         let stop_z = cornea + depth;
         let back_z = stop_z + lens_thickness;
         let conic = |vertex_z, radius, conic| Conic { vertex_z, radius, conic };
+        let surface = |data: &SurfaceData, base: Conic| placed(data, base, s.side);
         let surfaces = [
-            conic(0.0, p.cornea_front.radius_mm, p.cornea_front.conic),
-            conic(cornea, p.cornea_back.radius_mm, p.cornea_back.conic),
-            conic(stop_z, lens_front.0, lens_front.1),
-            conic(back_z, lens_back.0, lens_back.1),
-            conic(length, p.retina_radius_mm, 0.0),
+            surface(&p.cornea_front, conic(0.0, p.cornea_front.radius_mm, p.cornea_front.conic)),
+            surface(&p.cornea_back, conic(cornea, p.cornea_back.radius_mm, p.cornea_back.conic)),
+            surface(&p.lens_front, conic(stop_z, lens_front.0, lens_front.1)),
+            surface(&p.lens_back, conic(back_z, lens_back.0, lens_back.1)),
+            Surface { conic: conic(length, p.retina_radius_mm, 0.0), toric: None },
         ];
+        let gradient = p.lens_gradient.as_ref().filter(|g| !g.parts.is_empty());
+        let gradient = gradient.map(|g| GradientLens::new(g, stop_z, lens_thickness));
         let centre = DVec3::new(0.0, 0.0, length + p.retina_radius_mm);
         let mut eye = Self {
             prescription: p.clone(),
             state: *s,
             surfaces,
+            gradient,
             stop_z,
             stop_radius_mm,
             stop_magnification,
@@ -170,7 +211,7 @@ impl SchematicEye {
 
     /// Centre of the retinal sphere, mm.
     pub fn retina_centre(&self) -> DVec3 {
-        DVec3::new(0.0, 0.0, self.surfaces[4].vertex_z + self.surfaces[4].radius)
+        DVec3::new(0.0, 0.0, self.surfaces[4].conic.vertex_z + self.surfaces[4].conic.radius)
     }
 
     /// Centre of rotation of the eye, mm: behind the apex and towards the nose (nasal is −y in either eye).

@@ -1,4 +1,4 @@
-//! A conic of revolution about the z axis, and Snell's law.
+//! A conic of revolution about the z axis, a surface that may also be toric, and Snell's law.
 //!
 //! x² + y² + (1+k) z² − 2 R z = 0, z from the vertex. Along a ray o + t d (|d| = 1) this is A t² + 2 B t + C = 0 with
 //! A = 1 + k d_z², B = o·d + k o_z d_z − R d_z, C = |o|² + k o_z² − 2 R o_z.
@@ -7,6 +7,7 @@
 //! A vanishes for a ray along the axis of a paraboloid (the lens back): the roots are taken as C/q and q/A with
 //! q = −B − sign(B)·√(B² − AC), so the wanted root never divides by a vanishing A.
 
+use super::toric::Toric;
 use glam::DVec3;
 
 /// A conic surface; lengths in mm.
@@ -51,6 +52,13 @@ impl Conic {
         first
     }
 
+    /// Signed distance along the ray to the hit that is nearest to its start, before or behind it.
+    pub fn nearest(&self, origin: DVec3, d: DVec3) -> Option<f64> {
+        let [a, b] = self.roots(origin, d)?;
+        let near = if b.is_finite() && b.abs() < a.abs() { b } else { a };
+        near.is_finite().then_some(near)
+    }
+
     /// Distance along the ray to the far hit: how a ray inside a closed surface, the retina, leaves it.
     pub fn far_hit(&self, origin: DVec3, d: DVec3) -> Option<f64> {
         let [a, b] = self.roots(origin, d)?;
@@ -64,6 +72,38 @@ impl Conic {
         let g = DVec3::new(point.x, point.y, (1.0 + self.conic) * z - self.radius);
         let n = g / g.length();
         if n.dot(d) > 0.0 { -n } else { n }
+    }
+}
+
+/// A surface of the eye: a conic, or a toric one about its mean conic.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface {
+    /// The conic; of a toric surface the one of mean curvature, for paraxial values and first guesses.
+    pub conic: Conic,
+    /// Radii of two meridians, if they differ.
+    pub toric: Option<Toric>,
+}
+
+impl Surface {
+    /// Distance along the ray (unit direction) to the first hit.
+    pub fn hit(&self, origin: DVec3, d: DVec3) -> Option<f64> {
+        let first = self.conic.hit(origin, d);
+        let Some(toric) = &self.toric else { return first };
+        toric.hit_near(origin, d, first?).filter(|t| *t >= -BEHIND)
+    }
+
+    /// Signed distance along the ray to the hit that is nearest to its start, before or behind it.
+    pub fn nearest(&self, origin: DVec3, d: DVec3) -> Option<f64> {
+        let near = self.conic.nearest(origin, d);
+        let Some(toric) = &self.toric else { return near };
+        toric.hit_near(origin, d, near?)
+    }
+
+    /// Unit normal at a point of the surface, against the direction `d` of the ray that arrives.
+    pub fn normal_against(&self, point: DVec3, d: DVec3) -> DVec3 {
+        self.toric
+            .as_ref()
+            .map_or_else(|| self.conic.normal_against(point, d), |t| t.normal_against(point, d))
     }
 }
 

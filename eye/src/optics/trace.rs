@@ -4,6 +4,7 @@
 //! 3 lens, 4 vitreous. Lengths in mm; path lengths are counted from the ray's origin.
 
 use super::error::OpticsError;
+use super::gradient::{Crossed, GradientLens};
 use super::schematic_eye::SchematicEye;
 use super::surface::refract;
 use glam::{DVec2, DVec3};
@@ -109,8 +110,21 @@ impl SchematicEye {
             }
             // Go to the next surface.
             let surface = &self.surfaces[k];
+            if k == 3
+                && let Some(lens) = &self.gradient
+            {
+                let Some(out) = self.through_lens(lens, &mut traced, n, point) else {
+                    return traced.ended(RayFate::MissedSurface(3));
+                };
+                let normal = surface.normal_against(out.point, out.direction);
+                let Some(direction) = refract(out.direction, normal, out.index, n[4]) else {
+                    return traced.ended(RayFate::TotalInternalReflection(3));
+                };
+                (point, traced.direction) = (out.point, direction);
+                continue;
+            }
             let t = if k == 4 {
-                surface.far_hit(point, traced.direction)
+                surface.conic.far_hit(point, traced.direction)
             } else {
                 surface.hit(point, traced.direction)
             };
@@ -124,13 +138,38 @@ impl SchematicEye {
             // Refract there.
             if k < 4 {
                 let normal = surface.normal_against(point, traced.direction);
-                let Some(direction) = refract(traced.direction, normal, n[k], n[k + 1]) else {
+                let after = self.index_behind(k, point, n);
+                let Some(direction) = refract(traced.direction, normal, n[k], after) else {
                     return traced.ended(RayFate::TotalInternalReflection(k));
                 };
                 traced.direction = direction;
             }
         }
         traced
+    }
+
+    /// Index just behind surface k: of its medium, or of the place where a lens with a gradient is met.
+    fn index_behind(&self, k: usize, point: DVec3, n: &[f64; 5]) -> f64 {
+        match &self.gradient {
+            Some(lens) if k == 2 => lens.index_at(n[3], point),
+            Some(_) | None => n[k + 1],
+        }
+    }
+
+    /// From the front of a lens with a gradient to its back, noted in `traced`.
+    fn through_lens(
+        &self,
+        lens: &GradientLens,
+        traced: &mut Traced,
+        n: &[f64; 5],
+        from: DVec3,
+    ) -> Option<Crossed> {
+        let out = lens.cross(n[3], from, traced.direction, &self.surfaces[3])?;
+        traced.hits[3] = Some(out.point);
+        traced.path_mm[3] = out.path_mm;
+        traced.optical_path_mm += out.optical_mm;
+        traced.direction = out.direction;
+        Some(out)
     }
 
     /// Where a ray crosses the plane of the stop (mm, from the stop's centre); only the cornea is traced.

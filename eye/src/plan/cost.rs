@@ -1,21 +1,22 @@
 //! Predicted cost: CPU seconds and bytes from the counts that drive them. Constants were measured on one core of a 2026 server.
 
+use super::PlannedTile;
 use super::setup::Setup;
 use crate::experiment::{Engine, Experiment};
-use crate::exposure::KernelSpec;
+use crate::exposure::{KernelSpec, PolarShape};
 use crate::retina::Density;
 
 /// CPU seconds per cone built, mosaic and cells.
 const SECONDS_PER_CONE: f64 = 11e-6;
 /// CPU seconds per transfer table (field node x wavelength) at 3 mm.
-const SECONDS_PER_TRANSFER: f64 = 9e-3;
+const SECONDS_PER_TRANSFER: f64 = 2.5e-3;
 /// CPU seconds per drawn photon of the `events` engine.
 const SECONDS_PER_EVENT: f64 = 40e-9;
 /// Share of the photons in the pupil that `events` draws, about.
 const DRAWN_SHARE: f64 = 0.15;
 /// CPU seconds of one table to draw from, 3 mm pupil.
 const SECONDS_PER_TABLE: f64 = 4e-3;
-/// CPU seconds for one photon of `paper`.
+/// CPU seconds per photon of the `paper` engine.
 const SECONDS_PER_PHOTON: f64 = 0.3e-6;
 /// CPU seconds per point spread of the `paper` engine, at 1024 rays and 128 x 128 samples.
 const SECONDS_PER_SPREAD: f64 = 0.06;
@@ -46,18 +47,23 @@ pub struct Cost {
 }
 
 /// Predicts the cost of an experiment without cached artifacts.
-pub fn predict(experiment: &Experiment, setup: &Setup, kernels: &KernelSpec) -> Cost {
+pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile]) -> Cost {
     let cones = cones_in(setup);
     let size = setup.region.max - setup.region.min;
     // Tiles are whole: the mosaic is built out to their edges and a halo beyond.
     let tiles_share = (size.x + 256.0) * (size.y + 256.0) / (size.x * size.y).max(1.0);
     let tiles_seconds = cones * tiles_share * SECONDS_PER_CONE;
-    let pupil = (experiment.eye.pupil_mm / 3.0).max(0.5);
-    let transfers =
-        f64::from(kernels.field_nodes[0] * kernels.field_nodes[1]) * kernels.nodes_nm.len() as f64;
-    // Aberrations grow with the third power of the pupil, and both directions of a table with them.
-    let kernel_seconds = transfers * SECONDS_PER_TRANSFER * pupil.powi(5).max(0.5);
-    let samples = setup.scene.samples.iter().product::<usize>() as f64;
+    let mut kernel_seconds = 0.0;
+    let mut kernel_bytes = 0.0;
+    for PlannedTile { kernels, .. } in tiles {
+        let (seconds, bytes) = kernel_cost(experiment, kernels);
+        kernel_seconds += seconds;
+        kernel_bytes += bytes;
+    }
+    let parts = tiles.len().max(1) as f64;
+    let samples = tiles.iter().map(|t| t.scene.samples.iter().product::<usize>() as f64).sum::<f64>();
+    let waves = tiles.first().map_or(0, |t| t.kernels.nodes_nm.len()) as f64;
+    let primaries = experiment.display.primaries.len() as f64;
     let frames = f64::from(experiment.frames);
     let frame_seconds = match experiment.counts.engine {
         Engine::Expected => samples * IMAGES * SECONDS_PER_SAMPLE + cones * 1.5e-6,
@@ -68,18 +74,18 @@ pub fn predict(experiment: &Experiment, setup: &Setup, kernels: &KernelSpec) -> 
         Engine::Expected => cones * 8e-6 + samples * IMAGES * SECONDS_PER_SAMPLE,
         Engine::Events => {
             let nodes = (size.x / 200.0 + 2.0) * (size.y / 200.0 + 2.0);
-            cones * 8e-6 + nodes * kernels.nodes_nm.len() as f64 * SECONDS_PER_TABLE * pupil.powi(4)
+            cones * 8e-6
+                + nodes * waves * SECONDS_PER_TABLE * (experiment.eye.pupil_mm / 3.0).max(1.0).powi(4)
         }
         Engine::Paper => {
             let rays = f64::from(experiment.counts.paper.rays) / 1024.0;
             let side = f64::from(experiment.counts.paper.samples) / 128.0;
             let nodes = (size.x / 300.0 + 2.0) * (size.y / 300.0 + 2.0);
-            nodes * kernels.nodes_nm.len() as f64 * SECONDS_PER_SPREAD * rays * side * side
+            nodes * waves * SECONDS_PER_SPREAD * rays * side * side
         }
     };
-    let kernel_bytes = IMAGES * kernels.primaries.len() as f64 * kernels.shape.len() as f64 * 16.0;
     let cones_bytes = cones * 140.0;
-    let images_bytes = samples * IMAGES * (2.0 * kernels.primaries.len() as f64 + 4.0) + 4.0 * samples * 16.0;
+    let images_bytes = samples * IMAGES * (2.0 * primaries + 4.0) + 4.0 * samples * 16.0;
     Cost {
         cones,
         tiles_seconds,
@@ -88,8 +94,24 @@ pub fn predict(experiment: &Experiment, setup: &Setup, kernels: &KernelSpec) -> 
         kernel_seconds,
         kernel_bytes,
         seconds: tiles_seconds + kernel_seconds + prepare_seconds + frames * frame_seconds,
-        bytes: 60e6 + 2.0 * cones_bytes * tiles_share + cones * 900.0 + 3.0 * kernel_bytes + images_bytes,
+        // A worker keeps two tiles.
+        bytes: 60e6
+            + (2.0 * cones_bytes * tiles_share + cones * 900.0 + 3.0 * kernel_bytes + images_bytes)
+                * (2.0 / parts).min(1.0),
     }
+}
+
+/// CPU seconds and bytes of the kernels of one tile. Measured: a wavefront's transfer is 2 ms at 3 mm and grows with its spread,
+/// that is with the third power of the pupil, squared.
+fn kernel_cost(experiment: &Experiment, kernels: &KernelSpec) -> (f64, f64) {
+    let pupil = (experiment.eye.pupil_mm / 3.0).max(0.5);
+    let cycles = 1e-4 * kernels.band * pupil.powi(3);
+    let shape = PolarShape::for_cycles(kernels.band, [cycles, 2.0], kernels.tolerance);
+    let transfers =
+        f64::from(kernels.field_nodes[0] * kernels.field_nodes[1]) * kernels.nodes_nm.len() as f64;
+    let seconds =
+        transfers * (SECONDS_PER_TRANSFER * (1.0 + 0.05 * pupil.powi(6)) + 1e-7 * shape.len() as f64);
+    (seconds, IMAGES * kernels.primaries.len() as f64 * shape.len() as f64 * 16.0)
 }
 
 /// Cones in the patch: the target density summed over a grid of 40 x 40 points.

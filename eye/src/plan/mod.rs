@@ -1,10 +1,13 @@
 //! The plan: what a scene needs, what is left out and why, and what it costs, before anything is computed.
 
+mod band;
 mod cost;
 mod error;
 mod omissions;
 pub mod setup;
 mod wavelengths;
+
+use std::collections::BTreeSet;
 
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
@@ -14,8 +17,9 @@ use crate::cone::pigment::Pigments;
 use crate::digest::Digest;
 use crate::display::emitters;
 use crate::experiment::{Engine, Experiment};
+use crate::exposure::KernelSpec;
+use crate::exposure::scene::Scene;
 use crate::exposure::spectral::Absorbers;
-use crate::exposure::{KernelSpec, PolarShape};
 use crate::media::Media;
 use crate::retina::{RegionUm, tiles_for};
 use setup::Setup;
@@ -133,15 +137,28 @@ pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
     };
     let tail = WAVELENGTH_TAIL * experiment.accuracy_target;
     let wavelengths = wavelengths::choose(experiment, &emitters, &absorbers, tail);
-    let kernels = kernel_spec(experiment, &setup, wavelengths.nodes_nm.clone());
-    let cost = cost::predict(experiment, &setup, &kernels);
-    let (artifacts, tile_artifacts) = artifacts(&setup, kernels, &cost)?;
-    let shards = (0..experiment.frames)
+    let tiles = setup
+        .tiles
+        .iter()
+        .map(|region| {
+            let scene = setup.scene(experiment, region)?;
+            let kernels = kernel_spec(experiment, &setup, region, &scene, wavelengths.nodes_nm.clone());
+            Ok(PlannedTile { region: *region, scene, kernels })
+        })
+        .collect::<Result<Vec<_>, PlanError>>()?;
+    let cost = cost::predict(experiment, &setup, &tiles);
+    let field_nodes = tiles.iter().map(|t| t.kernels.field_nodes.iter().product::<u32>()).sum();
+    let band = tiles.iter().map(|t| t.scene.band).fold(0.0, f64::max);
+    let grid = tiles.iter().fold([0, 0], |g, t| [g[0].max(t.scene.samples[0]), g[1].max(t.scene.samples[1])]);
+    let error_estimate = error::estimate(experiment, &setup, &tiles, &wavelengths);
+    let count = tiles.len() as u32;
+    let (artifacts, tile_artifacts) = artifacts(&setup, tiles, &cost)?;
+    let frames = (0..experiment.frames)
         .step_by(SHARD_FRAMES as usize)
-        .map(|first| Shard {
-            first_frame: first,
-            frame_count: SHARD_FRAMES.min(experiment.frames - first),
-            tile: 0,
+        .map(|first| (first, SHARD_FRAMES.min(experiment.frames - first)));
+    let shards = frames
+        .flat_map(|(first_frame, frame_count)| {
+            (0..count).map(move |tile| Shard { first_frame, frame_count, tile })
         })
         .collect();
     Ok(Plan {
@@ -152,24 +169,31 @@ pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
             Engine::Events => "EVENTS".into(),
         },
         region: setup.region,
-        field_nodes: field_nodes(experiment, &setup).iter().product(),
-        grid: setup.scene.samples.map(|s| s as u32),
+        field_nodes,
+        grid: grid.map(|s| s as u32),
         artifacts,
         shards,
         tile_artifacts,
-        omissions: omissions::list(experiment, &setup, &wavelengths),
+        omissions: omissions::list(experiment, &setup, band, &wavelengths),
         predicted_cones: cost.cones,
         predicted_seconds: cost.seconds,
         predicted_bytes: cost.bytes,
-        error_estimate: error::estimate(experiment, &setup, &wavelengths),
+        error_estimate,
         wavelengths_nm: wavelengths.nodes_nm,
     })
 }
 
-/// The mosaic's tiles, the cones put together from them, the kernels; and what a shard needs of them.
+/// A result tile with what it is computed with.
+struct PlannedTile {
+    region: RegionUm,
+    scene: Scene,
+    kernels: KernelSpec,
+}
+
+/// The mosaic's tiles; then, for each result tile, the cones put together from them and the kernels; and what each tile's shards need.
 fn artifacts(
     setup: &Setup,
-    kernels: KernelSpec,
+    result_tiles: Vec<PlannedTile>,
     cost: &cost::Cost,
 ) -> Result<(Vec<PlannedArtifact>, Vec<Vec<Digest>>), PlanError> {
     let planned = |spec: ArtifactSpec, predicted_seconds: f64, predicted_bytes: f64| {
@@ -182,44 +206,48 @@ fn artifacts(
             predicted_bytes,
         })
     };
-    let kernels = planned(ArtifactSpec::Kernels(Box::new(kernels)), cost.kernel_seconds, cost.kernel_bytes)?;
-    if let Some(table) = &setup.mosaic {
-        let spec = ArtifactSpec::MeasuredCones {
-            table: table.clone(),
-            params: Box::new(setup.retina.clone()),
-            region: setup.region,
-        };
-        let cones = planned(spec, cost.tiles_seconds, cost.cones_bytes)?;
-        let needed = vec![vec![cones.key, kernels.key]];
-        return Ok((vec![cones, kernels], needed));
-    }
-    let tiles = tiles_for(&setup.region);
-    let count = tiles.len() as f64;
-    let mut artifacts = tiles
-        .into_iter()
-        .map(|tile| {
+    let count = tiles_for(&setup.region).len() as f64;
+    let parts = result_tiles.len() as f64;
+    let mut artifacts: Vec<PlannedArtifact> = Vec::new();
+    let mut known = BTreeSet::new();
+    let mut needed = Vec::new();
+    for PlannedTile { region, kernels, .. } in result_tiles {
+        let kernels = ArtifactSpec::Kernels(Box::new(kernels));
+        let kernels = planned(kernels, cost.kernel_seconds / parts, cost.kernel_bytes / parts)?;
+        if let Some(table) = &setup.mosaic {
+            let params = Box::new(setup.retina.clone());
+            let cones = ArtifactSpec::MeasuredCones { table: table.clone(), params, region };
+            let cones = planned(cones, cost.tiles_seconds / parts, cost.cones_bytes / parts)?;
+            needed.push(vec![cones.key, kernels.key]);
+            artifacts.extend([cones, kernels]);
+            continue;
+        }
+        let mut mosaic = Vec::new();
+        for tile in tiles_for(&region) {
             let spec = ArtifactSpec::RetinaTile { params: Box::new(setup.retina.clone()), tile };
-            planned(spec, cost.tiles_seconds / count, cost.tiles_bytes / count)
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    let tiles = artifacts.iter().map(|a| a.key).collect();
-    let cones = ArtifactSpec::Cones { tiles, region: setup.region };
-    let cones = planned(cones, 0.02 * cost.tiles_seconds, cost.cones_bytes)?;
-    let needed = vec![vec![cones.key, kernels.key]];
-    artifacts.extend([cones, kernels]);
+            let tile = planned(spec, cost.tiles_seconds / count, cost.tiles_bytes / count)?;
+            mosaic.push(tile.key);
+            if known.insert(tile.key) {
+                artifacts.push(tile);
+            }
+        }
+        let cones = ArtifactSpec::Cones { tiles: mosaic, region };
+        let cones = planned(cones, 0.02 * cost.tiles_seconds / parts, cost.cones_bytes / parts)?;
+        needed.push(vec![cones.key, kernels.key]);
+        artifacts.extend([cones, kernels]);
+    }
     Ok((artifacts, needed))
 }
 
-/// Half of the longer side of the patch, visual degrees about.
-fn half_side_deg(setup: &Setup) -> f64 {
-    0.5 * (setup.region.max - setup.region.min).max_element() / setup::UM_PER_TANGENT * 180.0
-        / std::f64::consts::PI
+/// Half of the longer side of a tile, visual degrees about.
+fn half_side_deg(tile: &RegionUm) -> f64 {
+    0.5 * (tile.max - tile.min).max_element() / setup::UM_PER_TANGENT * 180.0 / std::f64::consts::PI
 }
 
-/// Nodes along each side of the patch at which the optics are computed.
-fn field_nodes(experiment: &Experiment, setup: &Setup) -> [u32; 2] {
+/// Nodes along each side of a tile at which the optics are computed.
+fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> [u32; 2] {
     let finer = u32::from(experiment.accuracy_target < 5e-3) + u32::from(experiment.accuracy_target < 5e-4);
-    let nodes = match half_side_deg(setup) {
+    let nodes = match half_side_deg(tile) {
         half if half < 0.1 => 1,
         half if half < 1.2 => 2,
         _ => 3,
@@ -227,33 +255,36 @@ fn field_nodes(experiment: &Experiment, setup: &Setup) -> [u32; 2] {
     [nodes + finer; 2]
 }
 
-fn kernel_spec(experiment: &Experiment, setup: &Setup, nodes_nm: Vec<f64>) -> KernelSpec {
-    let farthest = [setup.region.min, setup.region.max, DVec2::new(setup.region.min.x, setup.region.max.y)]
-        .iter()
-        .map(|corner| corner.length())
-        .fold(0.0, f64::max);
+fn kernel_spec(
+    experiment: &Experiment,
+    setup: &Setup,
+    tile: &RegionUm,
+    scene: &Scene,
+    nodes_nm: Vec<f64>,
+) -> KernelSpec {
+    let farthest =
+        [tile.min, tile.max, DVec2::new(tile.min.x, tile.max.y), DVec2::new(tile.max.x, tile.min.y)]
+            .iter()
+            .map(|corner| corner.length())
+            .fold(0.0, f64::max);
     let ecc_max = farthest / setup::UM_PER_TANGENT * 180.0 / std::f64::consts::PI;
-    let nearest = DVec2::ZERO.clamp(setup.region.min, setup.region.max).length();
+    let nearest = DVec2::ZERO.clamp(tile.min, tile.max).length();
     let ecc_min = nearest / setup::UM_PER_TANGENT * 180.0 / std::f64::consts::PI;
-    let scale = (experiment.eye.pupil_mm / 3.0).max(1.0);
     KernelSpec {
         prescription: setup.prescription.clone(),
         state: setup.state,
         distance_mm: experiment.display.distance_cm * 10.0,
-        field_um: [setup.region.min, setup.region.max],
-        field_nodes: field_nodes(experiment, setup),
+        field_um: [tile.min, tile.max],
+        field_nodes: field_nodes(experiment, tile),
         ecc_deg: [ecc_min, ecc_max],
         ecc_nodes: if experiment.accuracy_target < 5e-4 { 4 } else { 3 },
         nodes_nm,
         primaries: experiment.display.primaries.iter().map(|p| p.spectrum.clone()).collect(),
         lens_density_scale: experiment.eye.lens_density_scale,
         macular_peak_density: experiment.eye.macular_peak_density,
+        reflection_losses: experiment.eye.reflection_losses,
         stiles_crawford_rho10_per_mm2: experiment.eye.stiles_crawford_rho10_per_mm2,
         tolerance: BASIS_SHARE * experiment.accuracy_target,
-        shape: PolarShape {
-            radius: setup.scene.band,
-            radial: (256.0 * scale) as usize,
-            azimuthal: (96.0 * scale) as usize,
-        },
+        band: scene.band,
     }
 }

@@ -3,7 +3,9 @@
 use super::Omission;
 use super::setup::Setup;
 use super::wavelengths::Wavelengths;
-use crate::experiment::{Experiment, Movement};
+use crate::display::{FORGOTTEN, Primary, Waveform};
+use crate::experiment::{Experiment, StrayLight};
+use crate::exposure::stray::scattered_share;
 use crate::media::MACULA_EDGE_DEG;
 
 /// Energy of a diffraction-limited spread beyond a radius R is about λ/(π² NA R); λ in the vitreous over NA, µm, at 3 mm.
@@ -12,7 +14,7 @@ const TAIL_UM: f64 = 0.62;
 const HALF_BLEACH_TD: f64 = 19_953.0;
 
 /// The omissions of an experiment.
-pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -> Vec<Omission> {
+pub fn list(experiment: &Experiment, setup: &Setup, band: f64, wavelengths: &Wavelengths) -> Vec<Omission> {
     let mut list = vec![
         omission(
             "cones outside the patch",
@@ -36,28 +38,32 @@ pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -
             &format!("the image is periodic; the nearest copy is {:.0} µm from any cone", setup.guard_um),
             0.5 * TAIL_UM * 3.0 / experiment.eye.pupil_mm / setup.guard_um,
         ),
-        omission(
-            "light scattered in the eye",
-            "scattered light is thrown away, as in §19; it would add a faint veil over the whole field",
-            0.1,
-        ),
         omission("bleaching", "pigments are taken as unbleached, as in §20", bleached(experiment)),
     ];
+    list.extend(lost_light(experiment));
     let cutoff = super::setup::cutoff(experiment);
-    if setup.scene.band < cutoff {
-        let kept = setup.scene.band * std::f64::consts::PI / 180.0;
+    if band < cutoff {
+        let kept = band * std::f64::consts::PI / 180.0;
         list.push(omission(
             "spatial frequencies that blur and apertures average away",
-            &format!("frequencies up to {kept:.0} cycles per degree are kept"),
+            &format!("frequencies up to {kept:.0} cycles per degree are kept, fewer where cones are wide"),
             0.15 * experiment.accuracy_target,
         ));
     }
-    let still = match experiment.gaze.movement {
-        Movement::Still => true,
-        Movement::Drift { speed_arcmin_per_s, .. } => speed_arcmin_per_s <= 0.0,
-    };
-    if still {
+    if setup.gaze.is_still() {
         list.push(omission("motion blur", "the eye does not move", 0.0));
+        let steady = |p: &Primary| p.waveform == Waveform::Steady;
+        if !experiment.display.primaries.iter().all(steady) || experiment.display.panel.lag_ms > 0.0 {
+            let why = "to an eye that does not move the light of a frame is one sum";
+            list.push(omission("the course of light inside a frame", why, 0.0));
+        }
+    }
+    let frame_s = 1.0 / experiment.display.frame_rate_hz;
+    let history = |p: &Primary| p.waveform.timing(0, frame_s, experiment.display.panel.lag_ms).history();
+    let history = experiment.display.primaries.iter().map(history).max().unwrap_or(0);
+    if history > 0 {
+        let why = format!("{history} earlier frames are looked at");
+        list.push(omission("ghosts of frames before those", &why, FORGOTTEN));
     }
     let nearest = glam::DVec2::ZERO.clamp(setup.region.min, setup.region.max).length();
     if nearest / super::setup::UM_PER_TANGENT > MACULA_EDGE_DEG.to_radians() {
@@ -69,6 +75,27 @@ pub fn list(experiment: &Experiment, setup: &Setup, wavelengths: &Wavelengths) -
             "directional sensitivity of the cones",
             "the experiment switches it off",
             lost.min(1.0),
+        ));
+    }
+    list
+}
+
+/// Scattered and reflected light, where they are left out.
+fn lost_light(experiment: &Experiment) -> Vec<Omission> {
+    let mut list = Vec::new();
+    if experiment.eye.stray_light.is_none() {
+        let usual = StrayLight { age_years: 30.0, pigmentation: 0.5 };
+        list.push(omission(
+            "light scattered in the eye",
+            "scattered light stays in the image; at 30 years so much of it would be spread as a veil over the whole field, see eye.stray_light",
+            scattered_share(usual),
+        ));
+    }
+    if !experiment.eye.reflection_losses {
+        list.push(omission(
+            "reflections at the surfaces of cornea and lens",
+            "the flat 0.016 in the density of the cornea stands for them; computed, 1 % more light passes, see eye.reflection_losses",
+            0.01,
         ));
     }
     list

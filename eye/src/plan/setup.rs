@@ -5,7 +5,8 @@
 use glam::DVec2;
 
 use super::PlanError;
-use crate::experiment::{Experiment, MAX_REGION_DEG, RangeError};
+use super::band::band;
+use crate::experiment::{Engine, Experiment, MAX_REGION_DEG, RangeError};
 use crate::exposure::scene::{MAX_GRID, Scene, SceneNeeds};
 use crate::movement::Gaze;
 use crate::optics::{EyeState, FieldFit, Prescription, Projection, SchematicEye};
@@ -15,6 +16,9 @@ use crate::retina::{RegionUm, RetinaGeometry, RetinaParams};
 const MARGIN_UM: f64 = 75.0;
 /// µm of retina per unit tangent at the fovea, for distances that need no better.
 pub(super) const UM_PER_TANGENT: f64 = 16_440.0;
+/// Largest patch that is one tile, µm (6 visual degrees and the picture's blur), and largest tile of a larger one.
+const MAX_SINGLE_UM: f64 = 1_950.0;
+const TILE_UM: f64 = 1_100.0;
 /// Samples per two cycles of the highest frequency.
 const OVERSAMPLING: f64 = 1.25;
 
@@ -31,8 +35,10 @@ pub struct Setup {
     pub gaze: Gaze,
     /// The patch of retina.
     pub region: RegionUm,
-    /// Window and grid.
-    pub scene: Scene,
+    /// The parts of the patch that are computed one by one, row by row: result tiles.
+    pub tiles: Vec<RegionUm>,
+    /// Rectangle of the line of sight's positions on the screen over all frames (unit tangents).
+    sight: [DVec2; 2],
     /// The mosaic's parameters.
     pub retina: RetinaParams,
     /// Digest of the table of measured cones, if they take the mosaic's place.
@@ -51,26 +57,69 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     let eye = SchematicEye::new(&prescription, &state).map_err(model)?;
     let projection = Projection::new(&eye, experiment.display.distance_cm * 10.0).map_err(model)?;
     let seconds = f64::from(experiment.frames) / experiment.display.frame_rate_hz;
-    let gaze = Gaze::new(experiment.gaze.movement, experiment.display.distance_cm, seconds)?;
-    let sight_end = gaze.screen_tangent(seconds);
-    let sight = [DVec2::ZERO.min(sight_end), DVec2::ZERO.max(sight_end)];
+    let frame_s = 1.0 / experiment.display.frame_rate_hz;
+    let gaze = Gaze::new(&experiment.gaze, experiment.display.distance_cm, experiment.frames, frame_s)?;
+    let sight = gaze.bounds(seconds);
     let region = region(experiment, &projection, sight)?;
     let guard_um = if experiment.accuracy_target >= 0.005 { 150.0 } else { 300.0 };
-    let needs = SceneNeeds {
-        centre_px: DVec2::from_array(experiment.gaze.center_px),
-        cones: screen_bounds(&projection, &region)?,
-        sight,
-        guard: guard_um / UM_PER_TANGENT,
-        band: band(experiment),
-        oversampling: OVERSAMPLING,
-    };
-    let scene = Scene::new(&experiment.display, &needs).map_err(|samples| {
-        let allowed = format!("a scene of at most {MAX_GRID} grid samples a side, here it would be {samples}; give a smaller retina.region_deg or less movement");
-        RangeError::new("retina.region_deg", "the scene", &allowed)
-    })?;
+    if experiment.eye.stray_light.is_some() && experiment.counts.engine == Engine::Paper {
+        let allowed = "left out with counts.engine PAPER, which throws scattered light away (§19)";
+        return Err(RangeError::new("eye.stray_light", "given", allowed).into());
+    }
+    let tiles = tiles(&region);
+    if tiles.len() > 1 && experiment.counts.engine == Engine::Paper {
+        let side = region.max - region.min;
+        let value = format!("a patch of {:.0} x {:.0} µm", side.x, side.y);
+        let allowed = format!("at most {MAX_SINGLE_UM} µm a side with counts.engine PAPER");
+        return Err(RangeError::new("retina.region_deg", value, &allowed).into());
+    }
     let retina = retina_params(experiment, &prescription, &state)?;
     let mosaic = experiment.retina.mosaic.clone();
-    Ok(Setup { prescription, state, projection, gaze, region, scene, retina, mosaic, guard_um })
+    Ok(Setup { prescription, state, projection, gaze, region, tiles, sight, retina, mosaic, guard_um })
+}
+
+impl Setup {
+    /// Window and grid of a result tile. A tile is imaged with all light that comes near its cones, wherever it is on the screen: tiles
+    /// need no light from each other.
+    ///
+    /// # Errors
+    /// When the tile sees no screen or its grid is larger than what is served.
+    pub fn scene(&self, experiment: &Experiment, tile: &RegionUm) -> Result<Scene, PlanError> {
+        let needs = SceneNeeds {
+            centre_px: DVec2::from_array(experiment.gaze.center_px),
+            cones: screen_bounds(&self.projection, tile)?,
+            sight: self.sight,
+            guard: self.guard_um / UM_PER_TANGENT,
+            band: band(experiment, self, tile),
+            oversampling: OVERSAMPLING,
+        };
+        Scene::new(&experiment.display, &needs).map_err(|samples| {
+            let allowed = format!("a scene of at most {MAX_GRID} grid samples a side, here it would be {samples}; give a smaller retina.region_deg or less movement");
+            RangeError::new("retina.region_deg", "the scene", &allowed).into()
+        })
+    }
+}
+
+/// A patch in tiles: whole when it is small, else in equal parts of at most [`TILE_UM`] a side.
+fn tiles(region: &RegionUm) -> Vec<RegionUm> {
+    let size = region.max - region.min;
+    if size.max_element() <= MAX_SINGLE_UM {
+        return vec![*region];
+    }
+    let parts = (size / TILE_UM).ceil().max(DVec2::ONE);
+    let (columns, rows) = (parts.x as u32, parts.y as u32);
+    // The same expression for both sides of a seam, so that no cone is lost or counted twice.
+    let seam = |from: f64, to: f64, i: u32, n: u32| {
+        if i == n { to } else { from + (to - from) * f64::from(i) / f64::from(n) }
+    };
+    let corner = |i, j| {
+        let (min, max) = (region.min, region.max);
+        DVec2::new(seam(min.x, max.x, i, columns), seam(min.y, max.y, j, rows))
+    };
+    (0..rows)
+        .flat_map(|j| (0..columns).map(move |i| (i, j)))
+        .map(|(i, j)| RegionUm { min: corner(i, j), max: corner(i + 1, j + 1) })
+        .collect()
 }
 
 fn retina_params(
@@ -102,7 +151,7 @@ pub fn retina_geometry(prescription: &Prescription, state: &EyeState) -> Result<
 fn focused_eye(experiment: &Experiment) -> Result<(Prescription, EyeState), PlanError> {
     let eye = &experiment.eye;
     let model = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
-    let prescription = Prescription::preset(&eye.preset).map_err(model)?;
+    let prescription = eye.prescription().map_err(model)?;
     let mut state = EyeState {
         pupil_mm: eye.pupil_mm,
         decentre_mm: eye.decentre_mm,
@@ -110,6 +159,9 @@ fn focused_eye(experiment: &Experiment) -> Result<(Prescription, EyeState), Plan
         dispersion: eye.dispersion,
         side: eye.side,
     };
+    if eye.relaxed {
+        return Ok((prescription, state));
+    }
     let distance_mm = eye.focus_distance_cm * 10.0;
     state.accommodation_a =
         SchematicEye::accommodation_for(&prescription, &state, distance_mm, eye.focus_wavelength_nm)
@@ -121,18 +173,6 @@ fn focused_eye(experiment: &Experiment) -> Result<(Prescription, EyeState), Plan
 /// pupil seen from the field is not exactly round.
 pub(super) fn cutoff(experiment: &Experiment) -> f64 {
     1.05 * experiment.eye.pupil_mm * 1e6 / crate::spectrum::MIN_NM
-}
-
-/// Highest frequency kept: the eye's own, or where aperture and blur have left less than the accuracy target.
-fn band(experiment: &Experiment) -> f64 {
-    let cycles_per_degree = if experiment.accuracy_target >= 0.005 {
-        90.0
-    } else if experiment.accuracy_target >= 5e-4 {
-        130.0
-    } else {
-        f64::INFINITY
-    };
-    cutoff(experiment).min(cycles_per_degree * 180.0 / std::f64::consts::PI)
 }
 
 /// The patch of retina: fixed by the experiment, or what the picture, its blur and the movement cover.
@@ -198,6 +238,23 @@ fn edge_points([a, b]: [DVec2; 2]) -> Vec<DVec2> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn tiles_cover_a_patch_once() {
+        let region = RegionUm { min: DVec2::new(-4000.3, -2000.1), max: DVec2::new(3999.9, 1234.5) };
+        let tiles = tiles(&region);
+        assert_eq!(tiles.len(), 8 * 3);
+        for i in 0..5000 {
+            let part = DVec2::new(f64::from(i) * 0.618_034 % 1.0, f64::from(i) * 0.754_877 % 1.0);
+            let at = region.min + part * (region.max - region.min);
+            assert_eq!(tiles.iter().filter(|t| t.contains(at)).count(), 1, "{at}");
+        }
+        // Seams are the same number on both sides.
+        for tile in &tiles {
+            let right = tiles.iter().filter(|t| t.min.x.to_bits() == tile.max.x.to_bits()).count();
+            assert!(right == 3 || tile.max.x.to_bits() == region.max.x.to_bits(), "{tile:?}");
+        }
+    }
 
     fn traced(decentre_mm: f64, accommodation_a: f64, side: crate::optics::Side) -> RetinaGeometry {
         let prescription = Prescription::preset("escudero-sanz-navarro").unwrap();

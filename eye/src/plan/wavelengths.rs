@@ -1,8 +1,11 @@
 //! Which wavelengths a scene needs: those that a primary emits and a cone can catch.
 
-use crate::display::Emitter;
+use crate::display::{Emitter, photon_shares};
 use crate::experiment::Experiment;
 use crate::exposure::spectral::{Absorbers, KINDS, Kind, Paths, wavelength_nodes};
+
+/// The wavelength of a display that has none, nm.
+const DARK_NM: f64 = 555.0;
 
 /// Wavelength nodes and what was left out.
 #[derive(Clone, Debug)]
@@ -30,24 +33,27 @@ pub fn choose(
     let paths = Paths { cornea: 1.0, lens: 1.0 };
     // Share of the catch of each cone type from each primary, by wavelength; the largest over both decides.
     let mut catches: Vec<(f64, f64)> = Vec::new();
-    for emitter in emitters {
+    // A dark primary has its spectrum still.
+    let spectra: Vec<_> = experiment.display.primaries.iter().map(|p| p.spectrum.clone()).collect();
+    let dark = photon_shares(&spectra);
+    for (emitter, shares) in emitters.iter().zip(&dark) {
+        let lit = emitter.emitted() > 0.0;
+        let photons: Vec<(f64, f64)> =
+            if lit { emitter.photons.iter().map(|p| (p.nm, p.emitted)).collect() } else { shares.clone() };
         let per_kind: Vec<Vec<f64>> = KINDS
             .iter()
             .filter(|kind| !matches!(kind, Kind::Arriving))
             .map(|kind| {
-                emitter
-                    .photons
-                    .iter()
-                    .map(|p| p.emitted * absorbers.caught_at(*kind, p.nm, 0.0, paths))
-                    .collect()
+                let caught = |(nm, n): &(f64, f64)| n * absorbers.caught_at(*kind, *nm, 0.0, paths);
+                photons.iter().map(caught).collect()
             })
             .collect();
         let totals: Vec<f64> = per_kind.iter().map(|c: &Vec<f64>| c.iter().sum()).collect();
         let most = totals.iter().copied().fold(0.0, f64::max);
-        for (i, photon) in emitter.photons.iter().enumerate() {
+        for (i, (nm, _)) in photons.iter().enumerate() {
             let seen = per_kind.iter().zip(&totals).filter(|(_, total)| **total > 1e-4 * most);
             let share = seen.map(|(c, total)| c[i] / total).fold(0.0, f64::max);
-            catches.push((photon.nm, share));
+            catches.push((*nm, share));
         }
     }
     catches.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -64,6 +70,10 @@ pub fn choose(
     let to = catches.len()
         - cut(&mut catches.iter().rev().map(|c| c.1)).min(catches.len().saturating_sub(from + 1));
     let outside = catches[..from].iter().chain(&catches[to..]).map(|c| c.1).sum();
-    let lit = catches[from.min(to)..to].iter().map(|c| c.0).collect();
+    let mut lit: Vec<f64> = catches[from.min(to)..to].iter().map(|c| c.0).collect();
+    // A display without light has no share anywhere: one wavelength, so that there are kernels to multiply it with.
+    if lit.is_empty() {
+        lit.push(catches.get(catches.len() / 2).map_or(DARK_NM, |c| c.0));
+    }
     Wavelengths { nodes_nm: wavelength_nodes(lit, step_nm), outside, step_nm }
 }

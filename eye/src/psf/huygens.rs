@@ -41,9 +41,24 @@ pub fn psf(
     options: &HuygensOptions,
     grid: &PsfGrid,
 ) -> Result<Vec<f64>, OpticsError> {
-    let nodes = PupilNodes { radial: options.radial, azimuth: options.azimuth, edge: 0 };
-    let points = nodes.points();
-    let bundle = PupilBundle::trace_points(eye, object, wavelength_nm, &points, &[])?;
+    let points = PupilNodes { radial: options.radial, azimuth: options.azimuth, edge: 0 }.points();
+    psf_of_points(eye, object, wavelength_nm, wavefront, &points, options.exact_distance, grid)
+}
+
+/// The same over rays through any points of the unit stop, with their weights: what §21 does with random ones.
+///
+/// # Errors
+/// As [`super::Wavefront::new`].
+pub fn psf_of_points(
+    eye: &SchematicEye,
+    object: Object,
+    wavelength_nm: f64,
+    wavefront: &WavefrontOptions,
+    points: &[(DVec2, f64)],
+    exact_distance: bool,
+    grid: &PsfGrid,
+) -> Result<Vec<f64>, OpticsError> {
+    let bundle = PupilBundle::trace_points(eye, object, wavelength_nm, points, &[])?;
     let weights = weights(eye, object, &bundle, wavefront)?;
     let total: f64 = weights.iter().sum();
     let (e_i, e_j) = grid.axes_of(super::wavefront::meridional_angle_of(eye, &bundle));
@@ -54,7 +69,7 @@ pub fn psf(
         let xi = grid.centre_um + grid.offset(index / n) * e_i + grid.offset(index % n) * e_j;
         let (mut re, mut im) = (0.0, 0.0);
         for (ray, weight) in bundle.rays.iter().zip(&weights) {
-            let distance = if options.exact_distance { farther(ray, xi, radius_um) } else { -ray.q.dot(xi) };
+            let distance = if exact_distance { farther(ray, xi, radius_um) } else { -ray.q.dot(xi) };
             let (sin, cos) = (TAU * (ray.opd_mm * 1e3 + distance) / wavelength_um).sin_cos();
             re += weight * cos;
             im += weight * sin;
@@ -71,7 +86,8 @@ fn farther(ray: &PupilRay, xi: DVec2, radius: f64) -> f64 {
     (xi.length_squared() - 2.0 * radius * ray.q.dot(xi)) / (distance + radius)
 }
 
-fn weights(
+/// Amplitude of each ray times the area of the stop that it stands for.
+pub(super) fn weights(
     eye: &SchematicEye,
     object: Object,
     bundle: &PupilBundle,

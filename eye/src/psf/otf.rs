@@ -12,7 +12,7 @@
 use super::chords::Chords;
 use super::outline::Outline;
 use super::polynomial::{Polynomial2, horner};
-use super::quadrature::gauss_legendre;
+use super::quadrature::Rules;
 use super::sincos::sin_cos_turns;
 use super::wavefront::Wavefront;
 use glam::{DMat2, DVec2};
@@ -64,7 +64,6 @@ struct Turned {
     /// Largest second derivatives by a twice, and by a and b.
     bend_along: f64,
     bend_across: f64,
-    rules: Vec<Option<Vec<(f64, f64)>>>,
 }
 
 impl Otf {
@@ -113,15 +112,27 @@ impl Otf {
     /// The values at frequencies `nus` (cycles/µm; a negative one lies the other way) along one direction, radians from
     /// x_um towards y_um.
     pub fn radial(&self, direction_rad: f64, nus: &[f64]) -> Vec<Complex64> {
-        let (mut turned, per_nu) = self.turned(direction_rad);
-        nus.iter()
+        self.along(direction_rad, &mut Rules::default(), |_| nus.to_vec())
+    }
+
+    /// The same for frequencies that are chosen when the cutoff in that direction (cycles/µm) is known; `rules` serve the next
+    /// direction too.
+    pub fn along(
+        &self,
+        direction_rad: f64,
+        rules: &mut Rules,
+        nus: impl FnOnce(f64) -> Vec<f64>,
+    ) -> Vec<Complex64> {
+        let (turned, per_nu) = self.turned(direction_rad);
+        nus(turned.longest / per_nu)
+            .into_iter()
             .map(|nu| {
                 let shift = nu.abs() * per_nu;
                 if shift <= 0.0 {
                     return Complex64::new(self.throughput, 0.0);
                 }
-                let value = self.overlap(&mut turned, shift) / self.energy;
-                if *nu < 0.0 { value.conj() } else { value }
+                let value = self.overlap(&turned, rules, shift) / self.energy;
+                if nu < 0.0 { value.conj() } else { value }
             })
             .collect()
     }
@@ -147,13 +158,12 @@ impl Otf {
             amplitude: self.amplitude.rotated(angle),
             peak,
             longest,
-            rules: vec![None; MOST_NODES + 1],
         };
         (turned, shift.length())
     }
 
     /// ∫ P(a − δ, b) P*(a, b) over the overlap.
-    fn overlap(&self, t: &mut Turned, delta: f64) -> Complex64 {
+    fn overlap(&self, t: &Turned, rules: &mut Rules, delta: f64) -> Complex64 {
         if delta >= t.longest || delta.is_nan() {
             return Complex64::ZERO;
         }
@@ -173,11 +183,7 @@ impl Otf {
         if along.max(across) > MOST_NODES {
             return Complex64::ZERO;
         }
-        prepare(&mut t.rules, along);
-        prepare(&mut t.rules, across);
-        let (Some(Some(inner)), Some(Some(outer))) = (t.rules.get(along), t.rules.get(across)) else {
-            return Complex64::ZERO;
-        };
+        let (inner, outer) = rules.pair(along, across);
         let mut turns = [0.0; 24];
         let mut amplitude = [0.0; 24];
         let (turns, amplitude) =
@@ -197,6 +203,8 @@ impl Otf {
     }
 
     fn nodes(&self, step: usize, wanted: f64) -> usize {
+        // Many nodes come in coarser steps, so that fewer rules are needed.
+        let step = if wanted > 40.0 { 8 } else { step };
         (self.margin * wanted / step as f64).ceil().min(1e6) as usize * step
     }
 }
@@ -228,12 +236,6 @@ impl Turned {
         // Turns a probe step, to half the radians a unit of θ; half as much again for what lies between the probes.
         let scale = 1.5 * PI / (theta(1) - theta(0));
         (along * scale, across * scale)
-    }
-}
-
-fn prepare(rules: &mut [Option<Vec<(f64, f64)>>], nodes: usize) {
-    if let Some(rule @ None) = rules.get_mut(nodes) {
-        *rule = Some(gauss_legendre(nodes));
     }
 }
 

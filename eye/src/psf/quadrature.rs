@@ -2,8 +2,11 @@
 
 use std::f64::consts::PI;
 
+/// Nodes with their weights.
+pub type Rule = Vec<(f64, f64)>;
+
 /// The n nodes, rising, with their weights; they integrate polynomials of degree 2n − 1 exactly.
-pub fn gauss_legendre(n: usize) -> Vec<(f64, f64)> {
+pub fn gauss_legendre(n: usize) -> Rule {
     let mut rule = vec![(0.0, 2.0); n];
     if n < 2 {
         return rule;
@@ -32,6 +35,25 @@ pub fn gauss_legendre(n: usize) -> Vec<(f64, f64)> {
         rule[n / 2].0 = 0.0;
     }
     rule
+}
+
+/// Rules that were asked for, kept for the next time.
+#[derive(Clone, Debug, Default)]
+pub struct Rules(Vec<Rule>);
+
+impl Rules {
+    /// The rules of `first` and `second` nodes.
+    pub fn pair(&mut self, first: usize, second: usize) -> (&Rule, &Rule) {
+        if self.0.len() <= first.max(second) {
+            self.0.resize(first.max(second) + 1, Vec::new());
+        }
+        for nodes in [first, second] {
+            if self.0[nodes].is_empty() {
+                self.0[nodes] = gauss_legendre(nodes);
+            }
+        }
+        (&self.0[first], &self.0[second])
+    }
 }
 
 #[cfg(test)]

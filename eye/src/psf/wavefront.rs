@@ -85,8 +85,8 @@ pub struct Wavefront {
     pub amplitude_sum: f64,
     /// ∫A² without apodization.
     pub energy_open: f64,
-    throughput: f64,
-    rms_um: f64,
+    pub(super) throughput: f64,
+    pub(super) rms_um: f64,
 }
 
 impl Wavefront {
@@ -214,6 +214,17 @@ impl Wavefront {
             [a * cos, a * sin]
         });
         Complex64::new(re, im).norm_sqr() / (self.amplitude_sum * self.amplitude_sum)
+    }
+
+    /// Centroid of the point spread from the landing point of the chief ray: the mean over the pupil's light of where rays land, µm along
+    /// x_um and y_um.
+    pub fn centroid_um(&self) -> DVec2 {
+        let [by_x, by_y] = self.opd_um.gradient();
+        let [x, y, energy] = self.over_pupil(32, |s| {
+            let e = self.amplitude.at(s).powi(2);
+            [e * by_x.at(s), e * by_y.at(s), e]
+        });
+        self.axes.inverse().transpose() * DVec2::new(x, y) / energy
     }
 
     /// Flux with the apodization / flux without; 1 without Stiles–Crawford.

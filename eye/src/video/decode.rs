@@ -22,25 +22,32 @@ impl Default for Limits {
 /// Why a picture is refused.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum DecodeError {
-    /// Not a PNG file, or damaged.
-    #[error("not a readable PNG: {0}")]
-    Format(String),
+    /// Not a file of this kind, or damaged.
+    #[error("not a readable {0}: {1}")]
+    Format(&'static str, String),
+    /// The file's kind needs to be told something that it does not say itself, or contradicts what was said.
+    #[error("{0}")]
+    Unstated(String),
     /// Too large.
     #[error("the picture is {0}x{1} pixels, allowed are {2}x{2}")]
     TooLarge(u32, u32, u32),
 }
 
+fn png_error(why: String) -> DecodeError {
+    DecodeError::Format("PNG", why)
+}
+
 fn reader(bytes: &[u8], limits: Limits) -> Result<png::Reader<Cursor<&[u8]>>, DecodeError> {
     if bytes.is_empty() {
-        return Err(DecodeError::Format("the file is empty".into()));
+        return Err(png_error("the file is empty".into()));
     }
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), png::Limits { bytes: limits.bytes });
     decoder.set_transformations(png::Transformations::EXPAND);
-    let header = decoder.read_header_info().map_err(|e| DecodeError::Format(e.to_string()))?;
+    let header = decoder.read_header_info().map_err(|e| png_error(e.to_string()))?;
     if header.width > limits.side_px || header.height > limits.side_px {
         return Err(DecodeError::TooLarge(header.width, header.height, limits.side_px));
     }
-    decoder.read_info().map_err(|e| DecodeError::Format(e.to_string()))
+    decoder.read_info().map_err(|e| png_error(e.to_string()))
 }
 
 /// Width and height from the header alone.
@@ -58,19 +65,19 @@ pub fn png_size(bytes: &[u8], limits: Limits) -> Result<(u32, u32), DecodeError>
 /// When the bytes are not a PNG file, are damaged, or exceed the limits.
 pub fn decode_png(bytes: &[u8], limits: Limits) -> Result<Picture, DecodeError> {
     let mut reader = reader(bytes, limits)?;
-    let size = reader.output_buffer_size().ok_or_else(|| DecodeError::Format("the size overflows".into()))?;
+    let size = reader.output_buffer_size().ok_or_else(|| png_error("the size overflows".into()))?;
     if size > limits.bytes {
-        return Err(DecodeError::Format(format!("{size} bytes decoded, allowed are {}", limits.bytes)));
+        return Err(png_error(format!("{size} bytes decoded, allowed are {}", limits.bytes)));
     }
     let mut buffer = vec![0; size];
-    let info = reader.next_frame(&mut buffer).map_err(|e| DecodeError::Format(e.to_string()))?;
+    let info = reader.next_frame(&mut buffer).map_err(|e| png_error(e.to_string()))?;
     let channels = info.color_type.samples();
     let values: Vec<f32> = match info.bit_depth {
         png::BitDepth::Sixteen => {
             buffer.chunks_exact(2).map(|b| f32::from(u16::from_be_bytes([b[0], b[1]])) / 65535.0).collect()
         }
         png::BitDepth::Eight => buffer.iter().map(|b| f32::from(*b) / 255.0).collect(),
-        depth => return Err(DecodeError::Format(format!("unexpected depth {depth:?}"))),
+        depth => return Err(png_error(format!("unexpected depth {depth:?}"))),
     };
     let mut rgb = Vec::with_capacity(3 * info.width as usize * info.height as usize);
     for pixel in values.chunks_exact(channels) {

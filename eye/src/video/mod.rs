@@ -1,8 +1,18 @@
-//! Pictures: bounded decoding of PNG files and the drawn patterns.
+//! Pictures: bounded decoding of files and the drawn patterns.
+//!
+//! A clip is PNG, PGM or PPM pictures, a frame each, or one film: Y4M, or raw RGB of the display's size. Pixel values are inputs of the
+//! display, 0 to 1; what light they mean is the display's transfer. Gamma or colour chunks inside files are not read.
 
+mod chart;
+mod clip;
 mod decode;
+mod netpbm;
 mod pattern;
+mod sloan;
+mod y4m;
 
+pub use chart::{logmar_rows, paper_rows};
+pub use clip::{ClipFormat, ClipInfo, Matrix, Range, Raw, Yuv, clip_info, decode_frame};
 pub use decode::{DecodeError, Limits, decode_png, png_size};
 pub use pattern::draw;
 

@@ -7,16 +7,18 @@
 )]
 
 use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
 
 use photoneye_eye::artifact::Input;
 use photoneye_eye::digest::Digest;
-use photoneye_eye::display::{Channel, Display, EmissionLaw, Primary, Transfer, White};
+use photoneye_eye::display::{Channel, Display, EmissionLaw, Panel, Primary, Transfer, Waveform, White};
 use photoneye_eye::experiment::{
     Counts, Engine, Experiment, Eye, Gaze, Movement, PaperSettings, Pattern, Retina, Video,
 };
 use photoneye_eye::exposure::Exposure;
 use photoneye_eye::optics::{Dispersion, Side};
 use photoneye_eye::plan::{Plan, plan};
+use photoneye_eye::retina::Retina as Cones;
 use photoneye_eye::spectrum::Spectrum;
 
 /// A primary that fills 80 % of the pixel.
@@ -28,7 +30,8 @@ pub fn primary(channel: Channel, spectrum: Spectrum) -> Primary {
         power: 1.0,
         rects: vec![[edge, edge, 1.0 - edge, 1.0 - edge]],
         offset_px: [0.0; 2],
-        lit: [0.0, 1.0],
+        spot_sd_px: 0.0,
+        waveform: Waveform::Steady,
     }
 }
 
@@ -48,6 +51,10 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             lens_density_scale: 1.0,
             stiles_crawford_rho10_per_mm2: 0.05,
             pointing_sd_deg: 1.0,
+            prescription: None,
+            relaxed: false,
+            reflection_losses: false,
+            stray_light: None,
         },
         retina: Retina::default(),
         display: Display {
@@ -58,6 +65,8 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             white: White::LuminanceCdM2(250.0),
             frame_rate_hz: 60.0,
             transfer: Transfer::Srgb,
+            black: 0.0,
+            panel: Panel::default(),
             emission_law: EmissionLaw::Lambertian,
             primaries: vec![
                 primary(Channel::Red, named("projector-uhp/red")),
@@ -67,8 +76,8 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
         },
         video: Video::Pattern(pattern),
         gaze: Gaze {
-            center_px: [15.0, 15.0],
             movement: Movement::Drift { speed_arcmin_per_s: 6.0, direction_deg: 30.0 },
+            ..Gaze::still([15.0, 15.0])
         },
         counts: Counts {
             engine: Engine::Expected,
@@ -112,4 +121,29 @@ pub fn exposure(experiment: &Experiment) -> (Plan, Exposure) {
     let artifacts: Vec<&Vec<u8>> = plan.tile_artifacts[0].iter().map(|k| &built[k]).collect();
     let exposure = Exposure::new(experiment, &artifacts).unwrap();
     (plan, exposure)
+}
+
+/// Artifacts that were built once: waveforms, panels and brightness need no new ones.
+static BUILT: Mutex<BTreeMap<Digest, Vec<u8>>> = Mutex::new(BTreeMap::new());
+
+/// As [`exposure`], with what another test of the file has built.
+pub fn cached_exposure(experiment: &Experiment) -> Exposure {
+    let plan = plan(experiment).unwrap();
+    let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
+    for artifact in &plan.artifacts {
+        if !built.contains_key(&artifact.key) {
+            let inputs: Vec<_> = artifact.inputs.iter().map(|key| (*key, built[key].as_slice())).collect();
+            let bytes = artifact.spec.build(&inputs).unwrap().bytes;
+            built.insert(artifact.key, bytes);
+        }
+    }
+    let artifacts: Vec<&Vec<u8>> = plan.tile_artifacts[0].iter().map(|key| &built[key]).collect();
+    Exposure::new(experiment, &artifacts).unwrap()
+}
+
+/// The cones of an experiment.
+pub fn cached_retina(experiment: &Experiment) -> Cones {
+    let key = plan(experiment).unwrap().tile_artifacts[0][0];
+    cached_exposure(experiment);
+    Cones::from_bytes(&BUILT.lock().unwrap()[&key]).unwrap()
 }

@@ -1,12 +1,14 @@
 //! The display: a preset of data/displays, then the fields of the spec over it; a list of primaries replaces the preset's whole.
 
 use photoneye_eye::catalog;
-use photoneye_eye::display::{Channel, Display, EmissionLaw, Primary, Transfer, White};
+use photoneye_eye::display::{
+    Channel, Display, EmissionLaw, Levels, Panel, Primary, Transfer, Waveform, White,
+};
 use photoneye_eye::spectrum::Spectrum;
 use photoneye_proto::v1::{self, spectrum, waveform};
 use photoneye_proto::{FieldError, from_json};
 
-use super::read::{choice, empty_choice, field_error, needed, number};
+use super::read::{choice, empty_choice, field_error, in_range, needed, number};
 
 /// The validated-to-be display of a spec.
 ///
@@ -27,6 +29,9 @@ pub fn display(spec: Option<&v1::Display>) -> Result<Display, FieldError> {
     };
     let primaries =
         (0..).zip(&spec.primaries).map(|(i, one)| primary(&format!("display.primaries[{i}]"), one));
+    let mut primaries: Vec<Primary> = primaries.collect::<Result<_, _>>()?;
+    primaries.extend(spec.ambient.as_ref().map(ambient).transpose()?);
+    let contrast = spec.contrast.map(|c| in_range("display.contrast", c, 1.0, 1e9)).transpose()?;
     let display = Display {
         width_px: needed("display.width_px", spec.width_px)?,
         height_px: needed("display.height_px", spec.height_px)?,
@@ -36,7 +41,9 @@ pub fn display(spec: Option<&v1::Display>) -> Result<Display, FieldError> {
         frame_rate_hz: needed("display.frame_rate_hz", spec.frame_rate_hz)?,
         transfer: transfer(&spec)?,
         emission_law: emission_law(&spec)?,
-        primaries: primaries.collect::<Result<_, _>>()?,
+        black: contrast.map_or(0.0, |contrast| 1.0 / contrast),
+        panel: Panel { lag_ms: number(spec.lag_ms, 0.0), levels: levels(spec.levels.as_ref())? },
+        primaries,
     };
     // Now, because other fields take their defaults from these.
     display.validate().map_err(field_error)?;
@@ -75,6 +82,12 @@ fn over(preset: v1::Display, spec: &v1::Display) -> v1::Display {
         transfer: spec.transfer.or(preset.transfer),
         emission_law: spec.emission_law.or(preset.emission_law),
         description: spec.description.clone().or(preset.description),
+        contrast: spec.contrast.or(preset.contrast),
+        ambient: spec.ambient.clone().or(preset.ambient),
+        lag_ms: spec.lag_ms.or(preset.lag_ms),
+        levels: spec.levels.or(preset.levels),
+        source: spec.source.clone().or(preset.source),
+        licence: spec.licence.clone().or(preset.licence),
     }
 }
 
@@ -127,16 +140,60 @@ fn primary(path: &str, spec: &v1::Primary) -> Result<Primary, FieldError> {
         power: number(spec.power, 1.0),
         rects,
         offset_px: [number(offset.x, 0.0), number(offset.y, 0.0)],
-        lit: lit(&format!("{path}.waveform"), spec.waveform.as_ref())?,
+        spot_sd_px: number(spec.spot_sd_px, 0.0),
+        waveform: waveform(&format!("{path}.waveform"), spec.waveform.as_ref())?,
     })
 }
 
-fn lit(path: &str, spec: Option<&v1::Waveform>) -> Result<[f64; 2], FieldError> {
-    match spec.map(|spec| spec.kind.as_ref()) {
-        None | Some(Some(waveform::Kind::Steady(_))) => Ok([0.0, 1.0]),
-        Some(Some(waveform::Kind::Pulse(pulse))) => Ok([number(pulse.start, 0.0), number(pulse.end, 1.0)]),
-        Some(None) => Err(empty_choice(path, &["steady", "pulse"])),
-    }
+/// Room light: a primary that nothing drives; a matt surface of reflectance ρ under E lx has the luminance Eρ/π.
+fn ambient(spec: &v1::Ambient) -> Result<Primary, FieldError> {
+    let lux = needed("display.ambient.illuminance_lux", spec.illuminance_lux)?;
+    let lux = in_range("display.ambient.illuminance_lux", lux, 0.0, 2e5)? + 0.0;
+    let part = in_range("display.ambient.reflectance", number(spec.reflectance, 0.005), 0.0, 1.0)?;
+    let spectrum = match &spec.spectrum {
+        None => Spectrum::named("room-light/d65")
+            .map_err(|message| FieldError::new("display.ambient.spectrum", message))?,
+        given => spectrum("display.ambient.spectrum", given.as_ref())?,
+    };
+    Ok(Primary {
+        channel: Channel::Room,
+        spectrum,
+        power: lux * part / std::f64::consts::PI,
+        rects: vec![[0.0, 0.0, 1.0, 1.0]],
+        offset_px: [0.0; 2],
+        spot_sd_px: 0.0,
+        waveform: Waveform::Steady,
+    })
+}
+
+fn levels(spec: Option<&v1::Levels>) -> Result<Levels, FieldError> {
+    use v1::levels::Kind as K;
+    let Some(spec) = spec else {
+        return Ok(Levels::Continuous);
+    };
+    let (bits, dither) = (spec.bits.unwrap_or(8), spec.dither.unwrap_or(false));
+    Ok(match choice("display.levels.kind", spec.kind, K::Values, K::as_str_name)? {
+        K::Values => Levels::Values { bits, dither },
+        K::BitPlanes => Levels::Planes { bits, dither },
+    })
+}
+
+fn waveform(path: &str, spec: Option<&v1::Waveform>) -> Result<Waveform, FieldError> {
+    let pulse = |pulse: &waveform::Pulse| [number(pulse.start, 0.0), number(pulse.end, 1.0)];
+    Ok(match spec.map(|spec| spec.kind.as_ref()) {
+        None | Some(Some(waveform::Kind::Steady(_))) => Waveform::Steady,
+        Some(Some(waveform::Kind::Pulse(one))) => Waveform::Pulses(vec![pulse(one)]),
+        Some(Some(waveform::Kind::Pulses(all))) => Waveform::Pulses(all.parts.iter().map(pulse).collect()),
+        Some(Some(waveform::Kind::Pwm(pwm))) => Waveform::Pwm {
+            hz: needed(&format!("{path}.pwm.hz"), pwm.hz)?,
+            duty: needed(&format!("{path}.pwm.duty"), pwm.duty)?,
+        },
+        Some(Some(waveform::Kind::Phosphor(phosphor))) => Waveform::Phosphor {
+            decay_us: needed(&format!("{path}.phosphor.decay_us"), phosphor.decay_us)?,
+            start: number(phosphor.start, 0.0),
+        },
+        Some(None) => return Err(empty_choice(path, &["steady", "pulse", "pulses", "pwm", "phosphor"])),
+    })
 }
 
 fn spectrum(path: &str, spec: Option<&v1::Spectrum>) -> Result<Spectrum, FieldError> {

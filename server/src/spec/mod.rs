@@ -1,20 +1,17 @@
 //! From the schema's experiment, as it came in through either door, to the model's: defaults filled in, every field checked.
 
 pub mod display;
+mod eye;
 mod read;
 mod scene;
 
-use photoneye_eye::catalog;
-use photoneye_eye::experiment::{Counts, Engine, Experiment, Eye, PaperSettings, Retina, Video};
-use photoneye_eye::optics::{Dispersion, Side};
+use photoneye_eye::experiment::{Counts, Engine, Experiment, PaperSettings, Retina, Video};
 use photoneye_eye::retina::{CellWalls, DensityLaw, Dropout, Generator};
 use photoneye_proto::{FieldError, v1};
 
+pub use eye::DEFAULT_EYE;
 pub use read::field_error;
 use read::{choice, in_range, needed, number};
-
-/// The eye that is taken when none is named.
-pub const DEFAULT_EYE: &str = "escudero-sanz-navarro";
 
 /// The model's experiment.
 ///
@@ -26,11 +23,11 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
     let video = scene::video(spec.video.as_ref(), &gaze, &display)?;
     let frames = spec.frames.as_ref().and_then(|frames| frames.count);
     let frames = frames.unwrap_or_else(|| match &video {
-        Video::Clip(blobs) => (blobs.len() as u32).max(1),
+        Video::Clip(clip) => (clip.blobs.len() as u32).max(1),
         Video::Pattern(_) => 1,
     });
     let experiment = Experiment {
-        eye: eye(spec.eye.as_ref(), display.distance_cm)?,
+        eye: eye::eye(spec.eye.as_deref(), display.distance_cm)?,
         retina: retina(spec.retina.as_ref())?,
         display,
         video,
@@ -41,50 +38,6 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
     };
     experiment.validate().map_err(field_error)?;
     Ok(experiment)
-}
-
-fn eye(spec: Option<&v1::Eye>, distance_cm: f64) -> Result<Eye, FieldError> {
-    use v1::eye::{Dispersion as D, Side as S};
-    let spec = spec.cloned().unwrap_or_default();
-    let preset = spec.preset.unwrap_or_else(|| DEFAULT_EYE.to_owned());
-    if preset != DEFAULT_EYE && catalog::text("eyes", &preset).is_none() {
-        let names = catalog::names("eyes").join("`, `");
-        let message = format!("unknown eye `{preset}`, expected one of `{names}`");
-        return Err(FieldError::new("eye.preset", message));
-    }
-    let focus = spec.focus.unwrap_or_default();
-    let (rho10, pointing_sd_deg) = stiles_crawford(spec.stiles_crawford.as_ref())?;
-    Ok(Eye {
-        preset,
-        side: match choice("eye.side", spec.side, S::Right, S::as_str_name)? {
-            S::Right => Side::Right,
-            S::Left => Side::Left,
-        },
-        pupil_mm: number(spec.pupil_mm, 3.0),
-        decentre_mm: number(spec.pupil_decentre_mm, 0.4),
-        focus_distance_cm: number(focus.distance_cm, distance_cm),
-        focus_wavelength_nm: number(focus.wavelength_nm, 543.0),
-        dispersion: match choice("eye.dispersion", spec.dispersion, D::Herzberger, D::as_str_name)? {
-            D::Herzberger => Dispersion::Herzberger,
-            D::Polyline => Dispersion::Polyline,
-        },
-        macular_peak_density: number(spec.macular_peak_density, 0.404),
-        lens_density_scale: number(spec.lens_density_scale, 1.0),
-        stiles_crawford_rho10_per_mm2: rho10,
-        pointing_sd_deg,
-    })
-}
-
-/// Coefficient for base 10, and the pointing error.
-fn stiles_crawford(spec: Option<&v1::StilesCrawford>) -> Result<(f64, f64), FieldError> {
-    use v1::stiles_crawford::Base as B;
-    let spec = spec.copied().unwrap_or_default();
-    let rho = in_range("eye.stiles_crawford.rho_per_mm2", number(spec.rho_per_mm2, 0.05), 0.0, 0.2)?;
-    let rho10 = match choice("eye.stiles_crawford.base", spec.base, B::Ten, B::as_str_name)? {
-        B::Ten => rho,
-        B::E => rho * std::f64::consts::LOG10_E,
-    };
-    Ok((rho10, number(spec.perturbation_deg, 1.0)))
 }
 
 fn retina(spec: Option<&v1::Retina>) -> Result<Retina, FieldError> {

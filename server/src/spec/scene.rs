@@ -1,12 +1,15 @@
 //! What is shown, where the eye looks and how it moves.
 
 use photoneye_eye::display::Display;
-use photoneye_eye::experiment::{Gaze, Movement, Pattern, Video};
+use photoneye_eye::experiment::{
+    ChartRow, Clip, Gaze, Microsaccades, Movement, Pattern, SloanChart, Tremor, Video,
+};
+use photoneye_eye::video::{ClipFormat, Matrix, Range, Raw, Yuv, logmar_rows, paper_rows};
 use photoneye_proto::FieldError;
 use photoneye_proto::v1::{self, movement, pattern, video};
 use photoneye_store::BlobDigest;
 
-use super::read::{empty_choice, needed, number, numbers};
+use super::read::{choice, empty_choice, needed, number, numbers};
 
 /// The picture or pictures.
 ///
@@ -18,18 +21,57 @@ pub fn video(spec: Option<&v1::Video>, gaze: &Gaze, display: &Display) -> Result
             "video.files",
             "the server reads no files: upload the pictures (PUT /v1/blobs) and send their digests as `clip`",
         )),
-        Some(video::Kind::Clip(clip)) => {
-            for (i, blob) in clip.blobs.iter().enumerate() {
-                let wrong = |error: photoneye_store::digest::NotADigest| {
-                    FieldError::new(format!("video.clip.blobs[{i}]"), error.to_string())
-                };
-                blob.parse::<BlobDigest>().map_err(wrong)?;
-            }
-            Ok(Video::Clip(clip.blobs.clone()))
-        }
+        Some(video::Kind::Clip(clip)) => Ok(Video::Clip(clip_of(clip)?)),
         Some(video::Kind::Pattern(pattern)) => Ok(Video::Pattern(pattern_of(pattern, gaze, display)?)),
         None => Err(empty_choice("video", &["files", "clip", "pattern"])),
     }
+}
+
+fn clip_of(clip: &video::Clip) -> Result<Clip, FieldError> {
+    for (i, blob) in clip.blobs.iter().enumerate() {
+        let wrong = |error: photoneye_store::digest::NotADigest| {
+            FieldError::new(format!("video.clip.blobs[{i}]"), error.to_string())
+        };
+        blob.parse::<BlobDigest>().map_err(wrong)?;
+    }
+    Ok(Clip {
+        blobs: clip.blobs.clone(),
+        format: format("video.clip", clip.yuv.as_ref(), clip.raw.as_ref())?,
+    })
+}
+
+/// What a clip's files mean.
+///
+/// # Errors
+/// The first field that is missing or does not fit.
+pub fn format(path: &str, yuv: Option<&v1::Yuv>, raw: Option<&v1::Raw>) -> Result<ClipFormat, FieldError> {
+    use v1::yuv::{Matrix as M, Range as R};
+    let yuv = match yuv {
+        None => None,
+        Some(yuv) => {
+            needed(&format!("{path}.yuv.matrix"), yuv.matrix)?;
+            needed(&format!("{path}.yuv.range"), yuv.range)?;
+            let matrix = match choice(&format!("{path}.yuv.matrix"), yuv.matrix, M::Bt709, M::as_str_name)? {
+                M::Bt601 => Matrix::Bt601,
+                M::Bt709 => Matrix::Bt709,
+                M::Bt2020 => Matrix::Bt2020,
+            };
+            let range = match choice(&format!("{path}.yuv.range"), yuv.range, R::Limited, R::as_str_name)? {
+                R::Limited => Range::Limited,
+                R::Full => Range::Full,
+            };
+            Some(Yuv { matrix, range })
+        }
+    };
+    let raw = match raw.map(|raw| raw.bits.unwrap_or(8)) {
+        None => None,
+        Some(bits @ (8 | 16)) => Some(Raw { bits }),
+        Some(bits) => {
+            let message = format!("{bits} is out of range, allowed is 8 or 16");
+            return Err(FieldError::new(format!("{path}.raw.bits"), message));
+        }
+    };
+    Ok(ClipFormat { yuv, raw })
 }
 
 fn pattern_of(spec: &v1::Pattern, gaze: &Gaze, display: &Display) -> Result<Pattern, FieldError> {
@@ -56,14 +98,55 @@ fn pattern_of(spec: &v1::Pattern, gaze: &Gaze, display: &Display) -> Result<Patt
                     return Err(FieldError::new("video.pattern.point.at_px", message));
                 }
             },
-            rgb: match point.rgb.as_slice() {
-                [] => [1.0; 3],
-                values => numbers("video.pattern.point.rgb", values)?,
-            },
+            rgb: colour("video.pattern.point.rgb", &point.rgb, 1.0)?,
         },
-        None => {
-            return Err(empty_choice("video.pattern", &["uniform", "grating", "checkerboard", "point"]));
+        Some(pattern::Kind::Sweep(sweep)) => {
+            let path = |name: &str| format!("video.pattern.sweep.{name}_cycles_per_degree");
+            Pattern::Sweep {
+                from_cycles_per_degree: needed(&path("from"), sweep.from_cycles_per_degree)? + 0.0,
+                to_cycles_per_degree: needed(&path("to"), sweep.to_cycles_per_degree)? + 0.0,
+                contrast: number(sweep.contrast, 1.0),
+                rgb: colour("video.pattern.sweep.rgb", &sweep.rgb, 1.0)?,
+            }
         }
+        Some(pattern::Kind::SloanChart(chart)) => Pattern::SloanChart(chart_of(chart)?),
+        None => {
+            let names = ["uniform", "grating", "checkerboard", "point", "sweep", "sloan_chart"];
+            return Err(empty_choice("video.pattern", &names));
+        }
+    })
+}
+
+/// Red, green, blue, or the same value thrice.
+fn colour(path: &str, values: &[f64], default: f64) -> Result<[f64; 3], FieldError> {
+    if values.is_empty() { Ok([default; 3]) } else { numbers(path, values) }
+}
+
+fn chart_of(spec: &pattern::SloanChart) -> Result<SloanChart, FieldError> {
+    use pattern::sloan_chart::Layout as L;
+    let path = "video.pattern.sloan_chart";
+    let rows = if spec.rows.is_empty() {
+        match choice(&format!("{path}.layout"), spec.layout, L::Logmar, L::as_str_name)? {
+            L::Logmar => logmar_rows(),
+            L::Paper => paper_rows(),
+        }
+    } else {
+        let row = |(i, row): (usize, &pattern::Row)| {
+            Ok(ChartRow {
+                letters: needed(&format!("{path}.rows[{i}].letters"), row.letters.clone())?,
+                stroke_arcmin: needed(&format!("{path}.rows[{i}].stroke_arcmin"), row.stroke_arcmin)?,
+            })
+        };
+        spec.rows.iter().enumerate().map(row).collect::<Result<_, FieldError>>()?
+    };
+    let lower = format!("{path}.lower_paper_rgb");
+    let lower =
+        (!spec.lower_paper_rgb.is_empty()).then(|| numbers(&lower, &spec.lower_paper_rgb)).transpose()?;
+    Ok(SloanChart {
+        rows,
+        paper_rgb: colour(&format!("{path}.paper_rgb"), &spec.paper_rgb, 1.0)?,
+        ink_rgb: colour(&format!("{path}.ink_rgb"), &spec.ink_rgb, 0.0)?,
+        lower_paper_rgb: lower,
     })
 }
 
@@ -84,15 +167,60 @@ pub fn gaze(spec: Option<&v1::Gaze>, display: &Display) -> Result<Gaze, FieldErr
     } else {
         numbers("gaze.center_px", center)?
     };
-    let movement = match spec.and_then(|spec| spec.movement.as_ref()) {
-        None => Movement::Still,
-        Some(spec) => match &spec.kind {
-            Some(movement::Kind::Still(_)) => Movement::Still,
-            Some(movement::Kind::Drift(spec)) => drift(spec),
-            None => return Err(empty_choice("gaze.movement", &["drift", "still"])),
-        },
-    };
-    Ok(Gaze { center_px, movement })
+    let movement = spec.and_then(|spec| spec.movement.as_ref());
+    Ok(Gaze {
+        center_px,
+        movement: movement.map_or(Ok(Movement::Still), base)?,
+        tremor: movement.and_then(|m| m.tremor.as_ref()).map(tremor),
+        microsaccades: movement.and_then(|m| m.microsaccades.as_ref()).map(microsaccades),
+        seed: movement.and_then(|m| m.seed).unwrap_or(1),
+    })
+}
+
+fn base(spec: &v1::Movement) -> Result<Movement, FieldError> {
+    Ok(match &spec.kind {
+        Some(movement::Kind::Still(_)) => Movement::Still,
+        Some(movement::Kind::Drift(spec)) => drift(spec),
+        Some(movement::Kind::Walk(walk)) => Movement::Walk { unit_arcmin: number(walk.unit_arcmin, 0.5) },
+        Some(movement::Kind::Recorded(path)) => recorded(path)?,
+        None if spec.tremor.is_some() || spec.microsaccades.is_some() => Movement::Still,
+        None => return Err(empty_choice("gaze.movement", &["drift", "walk", "recorded", "still"])),
+    })
+}
+
+fn recorded(spec: &movement::Recorded) -> Result<Movement, FieldError> {
+    if spec.file.is_some() {
+        let message = "the server reads no files: send t_s, x_arcmin and y_arcmin";
+        return Err(FieldError::new("gaze.movement.recorded.file", message));
+    }
+    let count = spec.t_s.len();
+    for (name, list) in [("x_arcmin", &spec.x_arcmin), ("y_arcmin", &spec.y_arcmin)] {
+        if list.len() != count {
+            let message = format!("{} values, expected {count} as in t_s", list.len());
+            return Err(FieldError::new(format!("gaze.movement.recorded.{name}"), message));
+        }
+    }
+    let sample = |i: usize| [spec.t_s[i] + 0.0, spec.x_arcmin[i] + 0.0, spec.y_arcmin[i] + 0.0];
+    Ok(Movement::Recorded((0..count).map(sample).collect()))
+}
+
+fn tremor(spec: &movement::Tremor) -> Tremor {
+    let default = Tremor::default();
+    Tremor {
+        rms_arcmin: number(spec.rms_arcmin, default.rms_arcmin),
+        from_hz: number(spec.from_hz, default.from_hz),
+        to_hz: number(spec.to_hz, default.to_hz),
+    }
+}
+
+fn microsaccades(spec: &movement::Microsaccades) -> Microsaccades {
+    let default = Microsaccades::default();
+    Microsaccades {
+        rate_hz: number(spec.rate_hz, default.rate_hz),
+        from_arcmin: number(spec.from_arcmin, default.from_arcmin),
+        to_arcmin: number(spec.to_arcmin, default.to_arcmin),
+        duration_ms: number(spec.duration_ms, default.duration_ms),
+    }
 }
 
 /// A drift; what is not given is the paper's default of §11.

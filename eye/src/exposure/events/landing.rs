@@ -3,6 +3,7 @@
 
 use glam::{DMat2, DVec2};
 
+use crate::exposure::light::Segment;
 use crate::exposure::scene::Scene;
 use crate::optics::Projection;
 use crate::psf::least_squares::LeastSquares;
@@ -32,7 +33,6 @@ pub(super) struct Patch {
     /// Screen tangent of its corner, and per pixel unit.
     corner: DVec2,
     per_px: DVec2,
-    sight: [DVec2; 2],
     /// Middle of places and times; its image, and the image's change. `None`: too large, ask the polynomial.
     affine: Option<(DVec2, DVec2, DMat2)>,
 }
@@ -83,21 +83,21 @@ impl Landing {
     }
 
     /// The pixel whose top left corner is given, while the line of sight moves.
-    pub(super) fn patch(&self, scene: &Scene, corner_px: DVec2, sight: [DVec2; 2]) -> Patch {
+    pub(super) fn patch(&self, scene: &Scene, corner_px: DVec2, segments: &[Segment]) -> Patch {
         let corner = scene.tangent(corner_px);
         let per_px = scene.tangent(corner_px + 1.0) - corner;
-        let moved = 0.5 * (sight[1] - sight[0]);
-        let middle = corner + 0.5 * per_px - 0.5 * (sight[0] + sight[1]);
-        let reach = 0.5 * per_px.length() + moved.length();
+        let (low, high) = crate::exposure::bounds(segments.iter().flat_map(|s| s.sight));
+        let middle = corner + per_px * (0.5 - 0.5 * (low + high));
+        let reach = (0.5 + 0.5 * (high - low)).length() * scene.tangent_per_px;
         let affine = (reach < AFFINE).then(|| (middle, self.um(middle), self.jacobian(middle)));
-        Patch { corner, per_px, sight, affine }
+        Patch { corner, per_px, affine }
     }
 }
 
 impl Patch {
-    /// Image of a place (pixel units from the corner) at a time (0 on, 1 off), µm.
-    pub(super) fn landing(&self, landing: &Landing, place: DVec2, time: f64) -> DVec2 {
-        let seen = self.corner + self.per_px * place - self.sight[0].lerp(self.sight[1], time);
+    /// Image of a place (pixel units from the corner) under a line of sight (pixels from the gaze centre), µm.
+    pub(super) fn landing(&self, landing: &Landing, place: DVec2, sight: DVec2) -> DVec2 {
+        let seen = self.corner + self.per_px * (place - sight);
         match &self.affine {
             Some((middle, um, jacobian)) => *um + *jacobian * (seen - *middle),
             None => landing.um(seen),

@@ -22,25 +22,27 @@ use rayon::prelude::*;
 use super::cones::ConeTable;
 use super::expected::Means;
 use super::inputs::Inputs;
+use super::light::{Segment, Shown};
 use super::poisson;
 use super::scene::Scene;
-use super::source::Projector;
+use super::source::{Layer, Projector};
 use crate::display::Emitter;
 use crate::experiment::Experiment;
 use crate::retina::ConeIndex;
 use crate::rng::{Purpose, Stream, mixed};
-use crate::video::Picture;
 use landing::{Landing, Patch};
 use tables::Tables;
 
 /// Pixels that share a Poisson draw.
 const CHUNK: usize = 64;
-/// Arriving photons are added up as whole multiples of this share, so that the order of adding does not matter.
+/// Arriving photons are added up as whole multiples of this share: then the order of adding does not matter.
 const GRAIN: f64 = 1.0 / 1_048_576.0;
 
 /// The prepared engine.
 pub struct Events {
     seed: u64,
+    /// Hash of the result tile's place: tiles draw photons of their own.
+    place: u64,
     scene: Scene,
     index: ConeIndex,
     landing: Landing,
@@ -49,21 +51,23 @@ pub struct Events {
     slant: Vec<f64>,
 }
 
-/// What one thread has counted.
+/// What one thread has counted, and the grains of photons that arrived and were guided.
 struct Tally {
     counts: Vec<u32>,
-    arriving: Vec<u64>,
+    arrived: u64,
+    guided: u64,
 }
 
-/// One frame's photons of one emitter and wavelength node.
+/// One frame's photons of one layer of light near one wavelength node.
 struct Beam<'a> {
     emitter: &'a Emitter,
     primary: usize,
     wave: usize,
-    /// Mean photons drawn per unit of light.
+    layer: &'a Layer,
+    /// By pixel: light that meets the pupil.
+    light: &'a [f64],
+    /// Share of it that is drawn.
     rate: f64,
-    /// Line of sight when the light goes on and off, unit tangents.
-    sight: [DVec2; 2],
 }
 
 /// Random bits of one chunk of a beam: a hashed counter.
@@ -92,7 +96,7 @@ impl Events {
     /// # Errors
     /// When a part of the window is not seen or the pupil cannot be traced.
     pub fn new(experiment: &Experiment, inputs: &Inputs, cones: &ConeTable) -> Result<Self, String> {
-        let Inputs { retina, projection, projector, scene, .. } = inputs;
+        let Inputs { retina, kernels, projection, projector, scene, .. } = inputs;
         let landing = Landing::new(projection, scene)?;
         let tables = Tables::new(inputs, cones, &landing, experiment.accuracy_target)?;
         let [width, height] = scene.size_px;
@@ -104,6 +108,7 @@ impl Events {
             .collect();
         Ok(Self {
             seed: experiment.counts.seed,
+            place: mixed(kernels.spec().field_um[0].x.to_bits(), kernels.spec().field_um[0].y.to_bits()),
             scene: scene.clone(),
             index: ConeIndex::new(retina),
             landing,
@@ -112,73 +117,77 @@ impl Events {
         })
     }
 
-    /// Simulates frame `index`: counts by cone, and an unbiased estimate of the photons that arrived at each.
-    pub fn frame(&self, index: u32, picture: &Picture, projector: &Projector) -> (Vec<u32>, Means) {
-        let seconds = 1.0 / projector.display.frame_rate_hz;
-        let beams: Vec<(Beam, Vec<f64>)> = (0..projector.emitters.len())
-            .map(|primary| {
-                let emitter = &projector.emitters[primary];
-                let mut light = projector.drive(emitter, picture, &self.scene);
-                light.iter_mut().zip(&self.slant).for_each(|(light, slant)| *light *= slant);
-                let sight = emitter
-                    .lit
-                    .map(|part| projector.gaze.screen_tangent((f64::from(index) + part) * seconds));
-                let rate = emitter.emitted() * projector.pupil_share;
-                (Beam { emitter, primary, wave: 0, rate, sight }, light)
+    /// Simulates a frame: counts by cone, and unbiased estimates of the photons that arrived and were guided.
+    pub fn frame(&self, shown: &Shown, projector: &Projector) -> (Vec<u32>, Means) {
+        let source = projector.frame(shown, &self.scene);
+        let layers: Vec<(usize, &Layer, Vec<f64>)> = (0..)
+            .zip(&source.primaries)
+            .flat_map(|(primary, p)| p.layers.iter().map(move |layer| (primary, layer)))
+            .map(|(primary, layer)| {
+                let light = layer.light.iter().zip(&self.slant).map(|(light, slant)| light * slant);
+                (primary, layer, light.collect())
             })
             .collect();
         // Pieces of work in a fixed order; what each draws depends on its own numbers only, and counts are whole numbers.
         let chunks = self.slant.len().div_ceil(CHUNK);
-        let pieces: Vec<(usize, usize, usize)> = (0..beams.len())
-            .flat_map(|k| (0..self.tables.waves()).map(move |m| (k, m)))
-            .flat_map(|(k, m)| (0..chunks).map(move |chunk| (k, m, chunk)))
+        let pieces: Vec<(usize, usize, usize)> = (0..layers.len())
+            .flat_map(|l| (0..self.tables.waves()).map(move |m| (l, m)))
+            .flat_map(|(l, m)| (0..chunks).map(move |chunk| (l, m, chunk)))
             .collect();
         let groups = rayon::current_num_threads().max(1);
         let tallies: Vec<Tally> = (0..groups)
             .into_par_iter()
             .map(|group| {
-                let cones = self.tables.cones();
-                let mut tally = Tally { counts: vec![0; cones], arriving: vec![0; cones] };
-                for &(k, wave, chunk) in pieces.iter().skip(group).step_by(groups) {
-                    let (beam, light) = &beams[k];
-                    let rate = beam.rate * self.tables.most(k, wave);
-                    let beam = Beam { wave, rate, ..*beam };
-                    self.chunk(index, &beam, light, chunk, &mut tally);
+                let mut tally = Tally { counts: vec![0; self.tables.cones()], arrived: 0, guided: 0 };
+                for &(l, wave, chunk) in pieces.iter().skip(group).step_by(groups) {
+                    let (primary, layer, light) = &layers[l];
+                    let share: f64 = layer.segments.iter().map(|s| s.share).sum();
+                    let beam = Beam {
+                        emitter: &projector.emitters[*primary],
+                        primary: *primary,
+                        wave,
+                        layer,
+                        light,
+                        rate: share * self.tables.most(*primary, wave),
+                    };
+                    let number = ((l * self.tables.waves() + wave) as u64) << 40 | chunk as u64;
+                    let stream = Stream::new(
+                        self.seed,
+                        Purpose::Events,
+                        u64::from(shown.index),
+                        mixed(self.place, number),
+                    );
+                    self.chunk(stream, &beam, chunk, &mut tally);
                 }
                 tally
             })
             .collect();
-        let cones = self.tables.cones();
-        let (mut counts, mut arriving) = (vec![0_u32; cones], vec![0_u64; cones]);
+        let mut counts = vec![0_u32; self.tables.cones()];
+        let (mut arrived, mut guided) = (0, 0);
         for tally in tallies {
             counts.iter_mut().zip(tally.counts).for_each(|(sum, count)| *sum = sum.saturating_add(count));
-            arriving.iter_mut().zip(tally.arriving).for_each(|(sum, part)| *sum += part);
+            (arrived, guided) = (arrived + tally.arrived, guided + tally.guided);
         }
         let means = Means {
             isomerized: counts.iter().map(|count| f64::from(*count)).collect(),
-            arriving: arriving.iter().map(|grains| *grains as f64 * GRAIN).collect(),
+            arrived: arrived as f64 * GRAIN,
+            guided: guided as f64 * GRAIN,
             clamped: 0,
         };
         (counts, means)
     }
 
     /// All photons of a beam from one chunk of pixels.
-    fn chunk(&self, index: u32, beam: &Beam, light: &[f64], chunk: usize, tally: &mut Tally) {
+    fn chunk(&self, mut stream: Stream, beam: &Beam, chunk: usize, tally: &mut Tally) {
         let from = chunk * CHUNK;
+        let pixels = CHUNK.min(beam.light.len() - from);
         let mut cumulative = [0.0; CHUNK];
         let mut total = 0.0;
-        for (sum, light) in cumulative.iter_mut().zip(&light[from..]) {
+        for (sum, light) in cumulative.iter_mut().zip(&beam.light[from..]) {
             total += light;
             *sum = total;
         }
-        let pixels = CHUNK.min(light.len() - from);
-        let mean = total * beam.rate;
-        if mean <= 0.0 {
-            return;
-        }
-        let number = ((beam.primary * self.tables.waves() + beam.wave) as u64) << 40 | chunk as u64;
-        let mut stream = Stream::new(self.seed, Purpose::Events, u64::from(index), number);
-        let drawn = poisson::from_stream(&mut stream, mean) as u64;
+        let drawn = poisson::from_stream(&mut stream, total * beam.rate) as u64;
         if drawn == 0 {
             return;
         }
@@ -186,7 +195,7 @@ impl Events {
         let patches: Vec<Patch> = (from..from + pixels)
             .map(|pixel| {
                 let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
-                self.landing.patch(&self.scene, corner, beam.sight)
+                self.landing.patch(&self.scene, corner, &beam.layer.segments)
             })
             .collect();
         let mut dice = Dice { key: stream.bits(), counter: 0 };
@@ -200,19 +209,40 @@ impl Events {
     /// One photon from a pixel: where it lands, and what the cone there does with it.
     fn photon(&self, beam: &Beam, patch: &Patch, time: f64, dice: &mut Dice, tally: &mut Tally) {
         let place = place(beam.emitter, dice);
-        let landed = patch.landing(&self.landing, place, time);
-        let node = self.tables.node(landed, beam.wave, dice.pair());
-        let landed = landed + node.shift_um + node.spread.draw(dice.bits(), || dice.pair());
+        let seen = patch.landing(&self.landing, place, sight(&beam.layer.segments, time));
+        let node = self.tables.node(seen, beam.wave, dice.pair());
+        let offset = node.spread.draw(dice.bits(), || dice.pair());
+        let landed = seen + node.shift_um + node.chart_from_tangents * offset;
         let Some(owner) = self.index.owner(landed) else {
             return;
         };
         let cone = owner as usize;
-        let (counted, arrived) = self.tables.odds(cone, beam.primary, beam.wave, node);
-        tally.arriving[cone] += (arrived / GRAIN) as u64;
-        if dice.pair().x < counted {
+        let odds = self.tables.odds(cone, beam.primary, beam.wave, node);
+        tally.arrived += (odds.arrived / GRAIN) as u64;
+        tally.guided += (odds.guided / GRAIN) as u64;
+        if dice.pair().x < odds.counted {
             tally.counts[cone] = tally.counts[cone].saturating_add(1);
         }
     }
+}
+
+/// The line of sight when a photon leaves, for a uniform number: pixels from the gaze centre.
+fn sight(segments: &[Segment], uniform: f64) -> DVec2 {
+    let total: f64 = segments.iter().map(|s| s.share).sum();
+    let mut left = uniform * total;
+    let last = segments.len() - 1;
+    let mut chosen = &segments[last];
+    for segment in &segments[..last] {
+        if left < segment.share {
+            chosen = segment;
+            break;
+        }
+        left -= segment.share;
+    }
+    let u = if chosen.share > 0.0 { (left / chosen.share).clamp(0.0, 1.0) } else { 0.5 };
+    // The light falls as e^{-decay x}: the inverse of its distribution.
+    let x = if chosen.decay < 1e-9 { u } else { -(u * (-chosen.decay).exp_m1()).ln_1p() / chosen.decay };
+    chosen.sight[0].lerp(chosen.sight[1], x)
 }
 
 /// A point of the emitter's rectangles, pixel units.
@@ -229,5 +259,11 @@ fn place(emitter: &Emitter, dice: &mut Dice) -> DVec2 {
         }
     }
     let [x0, y0, x1, y1] = chosen;
-    DVec2::new(x0, y0) + DVec2::new(x1 - x0, y1 - y0) * dice.pair()
+    let place = DVec2::new(x0, y0) + DVec2::new(x1 - x0, y1 - y0) * dice.pair();
+    if emitter.spot_sd_px > 0.0 {
+        let pair = dice.pair();
+        let radius = emitter.spot_sd_px * (-2.0 * (1.0 - pair.x).ln()).sqrt();
+        return place + DVec2::from_angle(std::f64::consts::TAU * pair.y) * radius;
+    }
+    place
 }

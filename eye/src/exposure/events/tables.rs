@@ -1,15 +1,16 @@
 //! What does not change between frames: point spreads by field node and wavelength, and what share of arriving photons each cone counts.
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 
-use super::landing::{Landing, REFERENCE_NM};
+use super::landing::Landing;
 use super::spread::Spread;
 use crate::exposure::cones::ConeTable;
 use crate::exposure::expected::ARRIVING;
 use crate::exposure::inputs::Inputs;
 use crate::exposure::spectral::KINDS;
-use crate::exposure::transfer::{FieldPoint, spot_radius_um, wavefront};
+use crate::exposure::transfer::{FieldPoint, spot_radius_um, wavefronts};
+use crate::psf::Wavefront;
 
 /// Steps of eccentricity between which weights are interpolated.
 const ECC_STEPS: usize = 32;
@@ -20,8 +21,20 @@ const NODE_DEG: [f64; 2] = [0.7, 0.35];
 pub(super) struct Node {
     /// Landing point against that at the reference wavelength, µm.
     pub(super) shift_um: DVec2,
+    /// A step on the chart from one along the retina's tangents.
+    pub(super) chart_from_tangents: DMat2,
     /// The point spread.
     pub(super) spread: Spread,
+}
+
+/// What becomes of a drawn photon that has landed on a cone.
+pub(super) struct Odds {
+    /// Probability that it is counted.
+    pub(super) counted: f64,
+    /// Arriving photons it stands for.
+    pub(super) arrived: f64,
+    /// Of those, the guided ones.
+    pub(super) guided: f64,
 }
 
 /// One cone's place among the weights.
@@ -80,28 +93,6 @@ impl Tables {
             .into_par_iter()
             .map(|k| (0..waves).map(|m| (0..KINDS.len()).map(|kind| by_ecc(k, kind, m)).collect()).collect())
             .collect();
-        let shoelace =
-            |c: &[DVec2]| 0.5 * (0..c.len()).map(|i| c[i].perp_dot(c[(i + 1) % c.len()])).sum::<f64>().abs();
-        let px: f64 = cones.cones.iter().map(|c| shoelace(&c.polygon_px)).sum();
-        let um: f64 = (0..retina.len())
-            .map(|i| shoelace(&retina.polygon(i).map(|p| p - retina.center(i)).collect::<Vec<_>>()))
-            .sum();
-        let fan: f64 = cones
-            .cones
-            .iter()
-            .map(|c| crate::exposure::spread::polygon_nodes(&c.polygon_px).iter().map(|n| n.1).sum::<f64>())
-            .sum();
-        eprintln!("area px {px} um {um} ratio {} fan {fan}", um / px);
-        let j = landing.jacobian(DVec2::ZERO).determinant();
-        eprintln!("pixel {}", j * inputs.scene.tangent_per_px.powi(2));
-        let l: f64 = cones
-            .cones
-            .iter()
-            .filter(|c| c.cone_type as usize == 0)
-            .map(|c| shoelace(&c.polygon_px) * c.pointing * c.geometry)
-            .sum();
-        let n = inputs.projector.emitters[0].emitted() * inputs.projector.pupil_share;
-        eprintln!("analytic L {}", l * n * 0.30848);
         let cones: Vec<Cone> = cones
             .cones
             .iter()
@@ -134,19 +125,6 @@ impl Tables {
                 waves.iter().map(|kinds| f64::from(of(kinds) * pointing) * accepted).collect()
             })
             .collect();
-        for e in [0.0, 0.2, 0.4] {
-            for kind in 0..4 {
-                let c = kernels.coefficients(kind, DVec2::new(e * 287.0, 0.0), e);
-                let k0: f64 = c.iter().enumerate().map(|(r, c)| c * kernels.table(kind, r, 0)[0].re).sum();
-                let at = e / ecc_to * ECC_STEPS as f64;
-                let w = weights[0][0][kind][at as usize];
-                eprintln!(
-                    "{e} kind {kind} K(0) {k0} mine {} {}",
-                    f64::from(w) * accepted,
-                    nodes[0][0].spread.accepted
-                );
-            }
-        }
         Ok(Self { first_um: min, step_um, side, nodes, weights, most, cones })
     }
 
@@ -178,16 +156,17 @@ impl Tables {
         &self.nodes[wave][along(1) * self.side[0] + along(0)]
     }
 
-    /// Probability that a cone counts a drawn photon that has landed on it, and the number of arriving photons it stands for.
-    pub(super) fn odds(&self, cone: usize, primary: usize, wave: usize, node: &Node) -> (f64, f64) {
+    /// What a cone does with a drawn photon that has landed on it.
+    pub(super) fn odds(&self, cone: usize, primary: usize, wave: usize, node: &Node) -> Odds {
         let cone = &self.cones[cone];
         let kinds = &self.weights[primary][wave];
+        let per_drawn = node.spread.accepted / self.most[primary][wave];
         let at = |kind: usize| {
             let (below, t) = cone.ecc;
-            f64::from(kinds[kind][below] * (1.0 - t) + kinds[kind][below + 1] * t) * node.spread.accepted
+            f64::from(kinds[kind][below] * (1.0 - t) + kinds[kind][below + 1] * t) * per_drawn
         };
-        let most = self.most[primary][wave];
-        (at(cone.kind) * f64::from(cone.pointing) / most, at(ARRIVING) / most)
+        let (pointing, arrived) = (f64::from(cone.pointing), at(ARRIVING));
+        Odds { counted: at(cone.kind) * pointing, arrived, guided: arrived * pointing }
     }
 }
 
@@ -206,17 +185,21 @@ fn trace(
             FieldPoint::new(projection, first_um + step_um * place)
         })
         .collect::<Result<_, String>>()?;
-    let jobs: Vec<(f64, &FieldPoint)> =
-        spec.nodes_nm.iter().flat_map(|&nm| points.iter().map(move |point| (nm, point))).collect();
-    let made: Vec<Node> = jobs
+    let by_point: Vec<Vec<Node>> = points
         .par_iter()
-        .map(|&(nm, point)| {
-            let wavefront = wavefront(projection, point, nm, spec.stiles_crawford_rho10_per_mm2)?;
-            let at = |nm| projection.retina_um(point.tangent, nm).map_err(|e| e.to_string());
-            let shift_um = at(nm)? - at(REFERENCE_NM)?;
-            Ok(Node { shift_um, spread: Spread::new(&wavefront, spot_radius_um(&wavefront)) })
+        .map(|point| {
+            let waves = wavefronts(projection, point, &spec.nodes_nm, spec.stiles_crawford_rho10_per_mm2)?;
+            let node = |wavefront: &Wavefront| Node {
+                shift_um: wavefront.landing_um - point.landing_um,
+                chart_from_tangents: point.chart_from_tangents(),
+                spread: Spread::new(wavefront, spot_radius_um(wavefront)),
+            };
+            Ok(waves.par_iter().map(node).collect())
         })
         .collect::<Result<_, String>>()?;
-    let mut made = made.into_iter();
-    Ok((0..spec.nodes_nm.len()).map(|_| made.by_ref().take(points.len()).collect()).collect())
+    let mut rows: Vec<Vec<Node>> = spec.nodes_nm.iter().map(|_| Vec::new()).collect();
+    for nodes in by_point {
+        rows.iter_mut().zip(nodes).for_each(|(row, node)| row.push(node));
+    }
+    Ok(rows)
 }

@@ -21,15 +21,15 @@ use crate::cone::pigment::axial_density;
 use crate::display::Emitter;
 use crate::experiment::{Experiment, PaperSettings};
 use crate::exposure::inputs::Inputs;
+use crate::exposure::light::{Course, Shown, courses, frame_light, light};
 use crate::exposure::scene::Scene;
-use crate::exposure::source::{Projector, relative_light};
+use crate::exposure::source::Projector;
 use crate::exposure::spectral::{Absorbers, Paths};
 use crate::optics::Projection;
 use crate::report::PhotonBudget;
 use crate::retina::{ConeIndex, ConeType};
 use crate::rng::{Purpose, Stream};
 use crate::spectrum::MIN_NM;
-use crate::video::Picture;
 use spread::Spread;
 
 /// Spacing of wavelengths, nm.
@@ -92,7 +92,7 @@ impl Paper {
     /// # Errors
     /// When a node of the screen is not seen.
     pub fn new(experiment: &Experiment, inputs: &Inputs) -> Result<Self, String> {
-        let Inputs { retina, kernels, projection, scene, pointing, projector } = inputs;
+        let Inputs { retina, kernels, projection, scene, pointing, projector, .. } = inputs;
         let absorbers = kernels.spec().absorbers()?;
         let columns = crate::exposure::cone_columns(experiment, retina)?;
         let cones = (0..retina.len())
@@ -171,7 +171,10 @@ impl Paper {
     }
 
     /// Simulates one frame: counts by cone and the fates of its photons.
-    pub fn frame(&self, index: u32, picture: &Picture, projector: &Projector) -> (Vec<u32>, PhotonBudget) {
+    pub fn frame(&self, shown: &Shown, projector: &Projector) -> (Vec<u32>, PhotonBudget) {
+        let display = &projector.display;
+        let layers: Vec<Vec<Course>> =
+            projector.emitters.iter().map(|emitter| courses(emitter, display, shown.index)).collect();
         let [width, height] = self.scene.size_px.map(|s| s as usize);
         let chunks: Vec<(usize, usize)> = (0..projector.emitters.len())
             .flat_map(|k| (0..(width * height).div_ceil(CHUNK)).map(move |c| (k, c)))
@@ -184,11 +187,11 @@ impl Paper {
                 let mut stream = Stream::new(
                     self.seed,
                     Purpose::Photons,
-                    u64::from(index),
+                    u64::from(shown.index),
                     ((k as u64) << 40) | chunk as u64,
                 );
                 for pixel in chunk * CHUNK..((chunk + 1) * CHUNK).min(width * height) {
-                    self.pixel(index, picture, projector, (k, pixel), &mut stream, &mut tally);
+                    self.pixel(shown, projector, &layers[k], (k, pixel), &mut stream, &mut tally);
                 }
                 tally
             })
@@ -198,12 +201,10 @@ impl Paper {
                 a
             });
         let mut emitted = 0.0;
-        for emitter in &projector.emitters {
-            let light = picture
-                .rgb
-                .chunks_exact(3)
-                .map(|rgb| relative_light(&projector.display, emitter.channel, rgb));
-            emitted += emitter.emitted() * light.sum::<f64>();
+        for (emitter, courses) in projector.emitters.iter().zip(&layers) {
+            let places = (0..display.height_px).flat_map(|row| (0..display.width_px).map(move |c| [c, row]));
+            let light: f64 = places.map(|at| frame_light(display, emitter, courses, shown, at)).sum();
+            emitted += emitter.emitted() * light;
         }
         let entered = tally.budget.fates();
         tally.budget.emitted = emitted;
@@ -214,9 +215,9 @@ impl Paper {
     /// All photons of one pixel of the window from one emitter.
     fn pixel(
         &self,
-        index: u32,
-        picture: &Picture,
+        shown: &Shown,
         projector: &Projector,
+        courses: &[Course],
         (k, pixel): (usize, usize),
         stream: &mut Stream,
         tally: &mut Tally,
@@ -224,25 +225,23 @@ impl Paper {
         let emitter = &projector.emitters[k];
         let width = self.scene.size_px[0] as usize;
         let (column, row) = (pixel % width, pixel / width);
-        let at = (row + self.scene.first_px[1] as usize) * picture.width as usize
-            + column
-            + self.scene.first_px[0] as usize;
-        let light = relative_light(&projector.display, emitter.channel, &picture.rgb[3 * at..3 * at + 3]);
-        let mean = light * emitter.emitted() * projector.pupil_share * self.slant[pixel];
+        let at = [self.scene.first_px[0] + column as u32, self.scene.first_px[1] + row as u32];
         let seconds = 1.0 / projector.display.frame_rate_hz;
-        // Within a frame the movement is affine: orientation at a photon's time lies between those at on and off.
-        let [on, off] =
-            emitter.lit.map(|part| projector.gaze.screen_tangent((f64::from(index) + part) * seconds));
-        for _ in 0..crate::exposure::poisson::from_stream(stream, mean) as u64 {
-            let place = Self::place(emitter, stream) + DVec2::new(column as f64, row as f64);
-            let seen = self.scene.tangent(place) - on.lerp(off, stream.uniform());
-            let uniform = stream.uniform();
-            let channel = self.channels[k].partition_point(|c| *c <= uniform).min(CHANNELS - 1);
-            self.photon(seen, channel, stream, tally);
+        for course in courses {
+            let light = course.share() * light(&projector.display, emitter, course.shows, shown, at);
+            let mean = light * emitter.emitted() * projector.pupil_share * self.slant[pixel];
+            for _ in 0..crate::exposure::poisson::from_stream(stream, mean) as u64 {
+                let place = Self::place(emitter, stream) + DVec2::new(column as f64, row as f64);
+                let time = (f64::from(shown.index) + course.time(stream.uniform())) * seconds;
+                let seen = self.scene.tangent(place) - projector.gaze.screen_tangent(time);
+                let uniform = stream.uniform();
+                let channel = self.channels[k].partition_point(|c| *c <= uniform).min(CHANNELS - 1);
+                self.photon(seen, channel, stream, tally);
+            }
         }
     }
 
-    /// A point of the emitter's rectangles, pixel units.
+    /// A point of the emitter's rectangles and spot, pixel units.
     fn place(emitter: &Emitter, stream: &mut Stream) -> DVec2 {
         let mut left = stream.uniform();
         let mut chosen = emitter.rects[emitter.rects.len() - 1].0;
@@ -254,7 +253,12 @@ impl Paper {
             left -= share;
         }
         let [x0, y0, x1, y1] = chosen;
-        DVec2::new(x0 + (x1 - x0) * stream.uniform(), y0 + (y1 - y0) * stream.uniform())
+        let place = DVec2::new(x0 + (x1 - x0) * stream.uniform(), y0 + (y1 - y0) * stream.uniform());
+        if emitter.spot_sd_px <= 0.0 {
+            return place;
+        }
+        let (x, y) = stream.normal_pair();
+        place + emitter.spot_sd_px * DVec2::new(x, y)
     }
 
     /// One photon in the pupil, seen at a point of the screen.

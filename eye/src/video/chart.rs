@@ -1,0 +1,114 @@
+//! Letter charts: rows of Sloan letters, sized in visual minutes, drawn as coverage of each pixel.
+//!
+//! Rows are centred, the gap between letters is one letter, the gap between rows is the height of the lower row (Bailey & Lovie 1976;
+//! ETDRS). A letter is 5 strokes high; a stroke of 1 arcmin is logMAR 0, 20/20. The paper's chart is not printed with its sizes; the layout
+//! here has a row of E and rows of ten letters from 20/40 to 20/10 that hold its lines 20/15 and 20/12.
+
+use glam::DVec2;
+
+use super::sloan;
+use crate::display::Display;
+use crate::experiment::{ChartRow, Gaze, SloanChart};
+
+/// Samples across a pixel for its coverage.
+const SAMPLES: u32 = 4;
+
+/// Rows from logMAR +1.0 to -0.3 in steps of 0.1, five letters each, no letter twice in a row.
+pub fn logmar_rows() -> Vec<ChartRow> {
+    let letters = [
+        "NCKZO", "RHSDK", "DOVHR", "CZRHS", "ONHRC", "DKSNV", "ZSOKN", "CKDNR", "SRZKD", "HZOVC", "NVDOK",
+        "VHCNO", "SVHCZ", "OZDVK",
+    ];
+    let row = |(i, letters): (i32, &str)| ChartRow {
+        letters: letters.into(),
+        stroke_arcmin: 10_f64.powf(1.0 - 0.1 * f64::from(i)),
+    };
+    (0..).zip(letters).map(row).collect()
+}
+
+/// The rows of Figures 13 and 15: large E, then 20/30 to 20/10.
+pub fn paper_rows() -> Vec<ChartRow> {
+    let rows = [
+        ("EEEEE", 30.0),
+        ("NCKZO", 25.0),
+        ("RHSDK", 20.0),
+        ("DOVHR", 15.0),
+        ("CZRHS", 12.0),
+        ("ONHRC", 10.0),
+    ];
+    rows.iter()
+        .map(|(letters, snellen)| ChartRow { letters: (*letters).into(), stroke_arcmin: snellen / 20.0 })
+        .collect()
+}
+
+/// A row as it lies on the screen: pixels, y down.
+struct Placed<'a> {
+    letters: Vec<char>,
+    row: &'a ChartRow,
+    /// Left and top.
+    corner: DVec2,
+    stroke_px: f64,
+}
+
+/// A chart on the screen.
+pub struct Layout<'a> {
+    rows: Vec<Placed<'a>>,
+}
+
+impl<'a> Layout<'a> {
+    /// Places the rows around a point (pixels).
+    pub fn new(chart: &'a SloanChart, display: &Display, centre_px: DVec2) -> Self {
+        let arcmin_px = (1.0_f64 / 60.0).to_radians().tan() * display.distance_cm / display.pixel_pitch_cm;
+        let letter = |row: &ChartRow| 5.0 * row.stroke_arcmin * arcmin_px;
+        let gaps: f64 = chart.rows.iter().skip(1).map(letter).sum();
+        let height: f64 = chart.rows.iter().map(letter).sum::<f64>() + gaps;
+        let mut top = centre_px.y - 0.5 * height;
+        let mut rows: Vec<Placed> = Vec::with_capacity(chart.rows.len());
+        for row in &chart.rows {
+            if !rows.is_empty() {
+                top += letter(row);
+            }
+            let letters: Vec<char> = row.letters.chars().collect();
+            let width = (2 * letters.len()).saturating_sub(1) as f64 * letter(row);
+            let corner = DVec2::new(centre_px.x - 0.5 * width, top);
+            rows.push(Placed { letters, row, corner, stroke_px: letter(row) / 5.0 });
+            top += letter(row);
+        }
+        Self { rows }
+    }
+
+    /// Share of a pixel that is ink.
+    pub fn coverage(&self, column: u32, row: u32) -> f64 {
+        let near = |p: &&Placed| {
+            let (top, bottom) = (p.corner.y - 1.0, p.corner.y + 5.0 * p.stroke_px + 1.0);
+            f64::from(row) >= top && f64::from(row) <= bottom && !p.row.letters.is_empty()
+        };
+        let Some(placed) = self.rows.iter().find(near) else {
+            return 0.0;
+        };
+        let mut inked = 0;
+        for i in 0..SAMPLES * SAMPLES {
+            let part =
+                DVec2::new(f64::from(i % SAMPLES) + 0.5, f64::from(i / SAMPLES) + 0.5) / f64::from(SAMPLES);
+            let at =
+                (DVec2::new(f64::from(column), f64::from(row)) + part - placed.corner) / placed.stroke_px;
+            // Letters stand every ten strokes.
+            let letter = (at.x / 10.0).floor();
+            if at.x < 0.0 || letter as usize >= placed.letters.len() {
+                continue;
+            }
+            let inside = DVec2::new(at.x - 10.0 * letter, 5.0 - at.y);
+            inked += u32::from(sloan::ink(placed.letters[letter as usize], inside));
+        }
+        f64::from(inked) / f64::from(SAMPLES * SAMPLES)
+    }
+}
+
+/// The chart or charts of a pattern: one around the gaze centre, or one in each half of the screen.
+pub fn layouts<'a>(chart: &'a SloanChart, display: &Display, gaze: &Gaze) -> Vec<Layout<'a>> {
+    if chart.lower_paper_rgb.is_none() {
+        return vec![Layout::new(chart, display, DVec2::from_array(gaze.center_px))];
+    }
+    let size = DVec2::new(f64::from(display.width_px), f64::from(display.height_px));
+    [0.25, 0.75].map(|part| Layout::new(chart, display, size * DVec2::new(0.5, part))).into()
+}

@@ -1,0 +1,175 @@
+//! Files of a clip: which kind they are, how many frames they hold, and one frame of them.
+
+use serde::{Deserialize, Serialize};
+
+use super::y4m::Y4m;
+use super::{DecodeError, Limits, Picture, decode_png, netpbm, png_size};
+
+/// What files mean where they do not say so.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClipFormat {
+    /// How luma and chroma become red, green and blue; Y4M files need it.
+    pub yuv: Option<Yuv>,
+    /// The files are raw RGB.
+    pub raw: Option<Raw>,
+}
+
+/// Luma and chroma.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Yuv {
+    /// Weights of the colours in luma.
+    pub matrix: Matrix,
+    /// Range of the numbers.
+    pub range: Range,
+}
+
+/// Weights of the colours in luma.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Matrix {
+    /// ITU-R BT.601.
+    Bt601,
+    /// ITU-R BT.709.
+    Bt709,
+    /// ITU-R BT.2020, not constant luminance.
+    Bt2020,
+}
+
+/// Range of the numbers in a luma and chroma picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Range {
+    /// 8 bit: luma 16 to 235, chroma 16 to 240.
+    Limited,
+    /// All numbers.
+    Full,
+}
+
+/// Raw RGB of the display's size: `[frame][row][column][channel]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Raw {
+    /// 8, or 16 little-endian.
+    pub bits: u32,
+}
+
+/// What a file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClipInfo {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Frames.
+    pub frames: u32,
+}
+
+/// Size and number of frames of a file, without decoding pixels. `display` is the size (columns, rows) of raw frames.
+///
+/// # Errors
+/// When the file's kind is not known, it is damaged, or it exceeds the limits.
+pub fn clip_info(
+    bytes: &[u8],
+    format: &ClipFormat,
+    display: [u32; 2],
+    limits: Limits,
+) -> Result<ClipInfo, DecodeError> {
+    if let Some(raw) = format.raw {
+        let [width, height] = display;
+        return Ok(ClipInfo { width, height, frames: raw_frames(bytes, raw, display)? });
+    }
+    let (width, height, frames) = match bytes {
+        [b'P', b'2' | b'3' | b'5' | b'6', ..] => {
+            let size = netpbm::size(bytes, limits)?;
+            (size.0, size.1, 1)
+        }
+        _ if bytes.starts_with(b"YUV4MPEG2") => {
+            let film = Y4m::read(bytes, format.yuv, limits)?;
+            (film.width, film.height, film.frames.len() as u32)
+        }
+        _ => {
+            let size = png_size(bytes, limits)?;
+            (size.0, size.1, 1)
+        }
+    };
+    Ok(ClipInfo { width, height, frames })
+}
+
+/// Decodes frame `frame` of a file; the last one stays.
+///
+/// # Errors
+/// As [`clip_info`], and when pixels are damaged or missing.
+pub fn decode_frame(
+    bytes: &[u8],
+    format: &ClipFormat,
+    display: [u32; 2],
+    frame: u32,
+    limits: Limits,
+) -> Result<Picture, DecodeError> {
+    if let Some(raw) = format.raw {
+        let last = raw_frames(bytes, raw, display)? - 1;
+        return Ok(raw_picture(bytes, raw, display, frame.min(last)));
+    }
+    match bytes {
+        [b'P', b'2' | b'3' | b'5' | b'6', ..] => netpbm::decode(bytes, limits),
+        _ if bytes.starts_with(b"YUV4MPEG2") => Ok(Y4m::read(bytes, format.yuv, limits)?.picture(frame)),
+        _ => decode_png(bytes, limits),
+    }
+}
+
+fn raw_frame_bytes(raw: Raw, [width, height]: [u32; 2]) -> usize {
+    3 * width as usize * height as usize * (raw.bits as usize / 8)
+}
+
+fn raw_frames(bytes: &[u8], raw: Raw, display: [u32; 2]) -> Result<u32, DecodeError> {
+    let one = raw_frame_bytes(raw, display);
+    let (whole, rest) = (bytes.len() / one, bytes.len() % one);
+    if whole == 0 || rest != 0 {
+        let why = format!(
+            "{} bytes are no whole number of frames of {one} bytes ({} x {} pixels, 3 x {} bit)",
+            bytes.len(),
+            display[0],
+            display[1],
+            raw.bits
+        );
+        return Err(DecodeError::Format("raw RGB file", why));
+    }
+    u32::try_from(whole).map_err(|_| DecodeError::Format("raw RGB file", format!("{whole} frames")))
+}
+
+fn raw_picture(bytes: &[u8], raw: Raw, display: [u32; 2], frame: u32) -> Picture {
+    let one = raw_frame_bytes(raw, display);
+    let bytes = &bytes[frame as usize * one..][..one];
+    let rgb = if raw.bits == 16 {
+        bytes.chunks_exact(2).map(|b| f32::from(u16::from_le_bytes([b[0], b[1]])) / 65535.0).collect()
+    } else {
+        bytes.iter().map(|b| f32::from(*b) / 255.0).collect()
+    };
+    Picture { width: display[0], height: display[1], rgb }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn raw_frames_are_read_and_counted() {
+        let bytes: Vec<u8> = (0..2 * 3 * 4).collect();
+        let format = ClipFormat { raw: Some(Raw { bits: 8 }), yuv: None };
+        let info = clip_info(&bytes, &format, [2, 2], Limits::default()).unwrap();
+        assert_eq!(info, ClipInfo { width: 2, height: 2, frames: 2 });
+        let second = decode_frame(&bytes, &format, [2, 2], 1, Limits::default()).unwrap();
+        assert!((second.rgb[0] - 12.0 / 255.0).abs() < 1e-7);
+        let wide = ClipFormat { raw: Some(Raw { bits: 16 }), yuv: None };
+        let one = decode_frame(&bytes, &wide, [2, 2], 9, Limits::default()).unwrap();
+        assert!((one.rgb[1] - f32::from(u16::from_le_bytes([2, 3])) / 65535.0).abs() < 1e-7);
+        for cut in [0, 1, 23] {
+            let error = clip_info(&bytes[..cut], &format, [2, 2], Limits::default()).unwrap_err();
+            assert!(error.to_string().contains("whole number of frames of 12 bytes"), "{error}");
+        }
+    }
+
+    #[test]
+    fn an_unknown_file_is_refused() {
+        for bytes in [&b""[..], b"GIF89a", b"P4 1 1 "] {
+            assert!(clip_info(bytes, &ClipFormat::default(), [1, 1], Limits::default()).is_err());
+        }
+    }
+}

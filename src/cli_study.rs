@@ -1,0 +1,38 @@
+//! What can be typed after `study`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+/// `study`.
+#[derive(Debug, Args)]
+pub struct StudyArgs {
+    /// What to look into
+    #[arg(value_enum)]
+    pub topic: StudyTopic,
+    /// Folder for index.html with its pictures, and a CSV file a table
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Smaller and coarser: seconds instead of minutes
+    #[arg(long)]
+    pub quick: bool,
+    /// An experiment of your own instead of the built-in scenes (error-vs-time)
+    #[arg(long, value_name = "FILE.json")]
+    pub spec: Option<PathBuf>,
+    /// Change a field of that experiment: eye.pupil_mm=5, accuracy.target=0.001
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// What can be looked into.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum StudyTopic {
+    /// The eye's optics: rays, spots, point spreads, transfer, focus, colour; error against time of six ways to a point spread.
+    Optics,
+    /// What a mosaic costs, from a thousand cones to the whole retina.
+    Retina,
+    /// Error of the mean per cone against CPU time, for each setting and engine.
+    ErrorVsTime,
+    /// Extreme and stiff cases, each with its figure and limit; fails when one does.
+    Stability,
+}
