@@ -84,11 +84,11 @@ fn main() {
             .unwrap();
         let mut built = BTreeMap::new();
         pool.install(|| build(&plan, keys[0], &mut built));
-        let (_, kernel_seconds) = pool.install(|| timed(|| build(&plan, keys[1], &mut built)));
+        let ((), kernel_seconds) = pool.install(|| timed(|| build(&plan, keys[1], &mut built)));
         let artifacts: Vec<&Vec<u8>> = keys.iter().map(|k| &built[k]).collect();
         let (exposure, prepare) = pool.install(|| timed(|| Exposure::new(&experiment, &artifacts).unwrap()));
         let _first = pool.install(|| exposure.frame(0, None).unwrap());
-        let (_, frame) = pool.install(|| timed(|| drop(exposure.frame(0, None).unwrap())));
+        let ((), frame) = pool.install(|| timed(|| drop(exposure.frame(0, None).unwrap())));
         println!(
             "tile at {wanted_um} µm: band {:.0} c/deg, {} cones; kernels {kernel_seconds:.2} s, prepare {prepare:.2} s, frame {:.1} ms, {:.2} µs a cone",
             kernels(keys).band.to_radians(),

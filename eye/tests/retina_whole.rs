@@ -98,3 +98,17 @@ fn the_whole_retina_meets_its_targets() {
         s.counts
     );
 }
+
+/// A region of 300,000 cones in one go, whatever the number of threads: parts stay small enough for their halos.
+#[test]
+#[ignore = "six seconds of processor time; the gate runs it"]
+fn a_large_region_is_made_at_once() {
+    let region = RegionUm { min: DVec2::splat(-2_340.0), max: DVec2::splat(2_340.0) };
+    let p = RetinaParams::default();
+    let made = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| photoneye_eye::retina::build_region(&p, &region).unwrap())
+    };
+    let (one, two) = (made(1), made(2));
+    assert!(one.len() > 250_000 && one.to_bytes() == two.to_bytes(), "{} cones", one.len());
+}

@@ -40,21 +40,7 @@ pub fn list(experiment: &Experiment, setup: &Setup, band: f64, wavelengths: &Wav
         ),
         omission("bleaching", "pigments are taken as unbleached, as in §20", bleached(experiment)),
     ];
-    if experiment.eye.stray_light.is_none() {
-        let usual = StrayLight { age_years: 30.0, pigmentation: 0.5 };
-        list.push(omission(
-            "light scattered in the eye",
-            "scattered light stays in the image; at 30 years so much of it would be spread as a veil over the whole field, see eye.stray_light",
-            scattered_share(usual),
-        ));
-    }
-    if !experiment.eye.reflection_losses {
-        list.push(omission(
-            "reflections at the surfaces of cornea and lens",
-            "the flat 0.016 in the density of the cornea stands for them; computed, 1 % more light passes, see eye.reflection_losses",
-            0.01,
-        ));
-    }
+    list.extend(lost_light(experiment));
     let cutoff = super::setup::cutoff(experiment);
     if band < cutoff {
         let kept = band * std::f64::consts::PI / 180.0;
@@ -89,6 +75,27 @@ pub fn list(experiment: &Experiment, setup: &Setup, band: f64, wavelengths: &Wav
             "directional sensitivity of the cones",
             "the experiment switches it off",
             lost.min(1.0),
+        ));
+    }
+    list
+}
+
+/// Scattered and reflected light, where they are left out.
+fn lost_light(experiment: &Experiment) -> Vec<Omission> {
+    let mut list = Vec::new();
+    if experiment.eye.stray_light.is_none() {
+        let usual = StrayLight { age_years: 30.0, pigmentation: 0.5 };
+        list.push(omission(
+            "light scattered in the eye",
+            "scattered light stays in the image; at 30 years so much of it would be spread as a veil over the whole field, see eye.stray_light",
+            scattered_share(usual),
+        ));
+    }
+    if !experiment.eye.reflection_losses {
+        list.push(omission(
+            "reflections at the surfaces of cornea and lens",
+            "the flat 0.016 in the density of the cornea stands for them; computed, 1 % more light passes, see eye.reflection_losses",
+            0.01,
         ));
     }
     list

@@ -230,10 +230,14 @@ fn expected_cones(field: &Field, region: &RegionUm) -> f64 {
     1e-6 * density * step.x * step.y
 }
 
-/// Halves a rectangle across its longer side until no part is expected to hold over 1.2 times `share` cones.
+/// Halves a rectangle across its longer side until no part is expected to hold over 1.2 times `share` cones or is larger than a tile may
+/// be there (over a longer way the density changes too much for one halo).
 fn split(field: &Field, region: RegionUm, share: f64, parts: &mut Vec<RegionUm>) {
     let size = region.max - region.min;
-    if expected_cones(field, &region) <= 1.2 * share || size.max_element() < TILE_UM / 8.0 {
+    let blocks = BLOCK_FROM_UM.iter().filter(|from| region.distance_to_origin() >= **from).count() as i32;
+    let largest = 1.5 * TILE_UM * f64::from(1_i32 << blocks);
+    let fits = size.max_element() <= largest && expected_cones(field, &region) <= 1.2 * share;
+    if fits || size.max_element() < TILE_UM / 8.0 {
         parts.push(region);
         return;
     }
