@@ -101,7 +101,7 @@ impl Server {
         let listener = TcpListener::bind(options.listen).await.map_err(listen_error)?;
         let address = listener.local_addr().map_err(listen_error)?;
         let blobs = FolderStore::open(&options.data_dir)?;
-        let lock = lock(&options.data_dir)?;
+        let lock = lock(&options.data_dir).await?;
         let file = options.data_dir.join("photoneye.db");
         let clock = Clock::new();
         let opened = SqliteStore::open(&file, clock.now_ms()).await;
@@ -131,18 +131,25 @@ impl Server {
     }
 }
 
+/// How long a start waits for the data folder: a server that was killed holds it until the system has cleared it away.
+const LOCK_TRIES: u32 = 40;
+const LOCK_PAUSE: std::time::Duration = std::time::Duration::from_millis(50);
+
 /// Holds the data folder for one server; the system lets go of it when the process ends, however it ends.
-fn lock(folder: &Path) -> Result<std::fs::File, StartError> {
+async fn lock(folder: &Path) -> Result<std::fs::File, StartError> {
     let path = folder.join("lock");
     let unusable = |source| {
         StartError::Folder(photoneye_store::StoreError::Io { action: "lock", path: path.clone(), source })
     };
     let file = std::fs::File::options().create(true).append(true).open(&path).map_err(unusable)?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(std::fs::TryLockError::WouldBlock) => Err(StartError::InUse(folder.to_owned())),
-        Err(std::fs::TryLockError::Error(error)) => Err(unusable(error)),
+    for _ in 0..LOCK_TRIES {
+        match file.try_lock() {
+            Ok(()) => return Ok(file),
+            Err(std::fs::TryLockError::WouldBlock) => tokio::time::sleep(LOCK_PAUSE).await,
+            Err(std::fs::TryLockError::Error(error)) => return Err(unusable(error)),
+        }
     }
+    Err(StartError::InUse(folder.to_owned()))
 }
 
 /// A server that runs.

@@ -1,7 +1,7 @@
 //! Pictures of results: every cone's aperture filled with its count per area, as in Figures 12 to 16.
 //!
-//! The picture is upright as the viewer sees the screen. Cone types are white-balanced (each type's bright level becomes the same grey)
-//! and lightly tinted: L reddish, M greenish, S bluish. Cone ids are rasterized once per view; a frame is a look-up.
+//! The picture is upright as the viewer sees the screen. Cone types are white-balanced (each type's bright level becomes the same grey,
+//! up to a gain of 50) and lightly tinted: L reddish, M greenish, S bluish. Cone ids are rasterized once per view; a frame is a look-up.
 //!
 //! `mosaic` draws the cones themselves, without counts (Figures 1, 8, 9).
 
@@ -42,6 +42,8 @@ pub struct View {
 pub const MAX_SIDE_PX: u32 = 8192;
 /// Share of cones that may be brighter than full white.
 const CLIPPED: f64 = 0.002;
+/// How far a type may be brightened to match the brightest: beyond, single photons would look like light (S cones at 543 nm).
+const MOST_BALANCE: f64 = 50.0;
 /// Tint by type, linear light.
 const TINT: [[f32; 3]; 3] = [[1.0, 0.86, 0.80], [0.82, 1.0, 0.84], [0.74, 0.82, 1.0]];
 
@@ -114,8 +116,9 @@ fn colours(shapes: &ConeShapes, counts: &[f64]) -> Vec<[f32; 3]> {
     for (value, kind) in light.iter().zip(&shapes.cone_type) {
         by_type[usize::from(*kind).min(2)].push(*value);
     }
-    let levels =
-        by_type.map(|values| Some(percentile(values, 0.9)).filter(|level| *level > 0.0).unwrap_or(1.0));
+    let levels = by_type.map(|values| percentile(values, 0.9));
+    let least = levels.iter().fold(0.0_f64, |most, level| most.max(*level)) / MOST_BALANCE;
+    let levels = levels.map(|level| Some(level.max(least)).filter(|level| *level > 0.0).unwrap_or(1.0));
     for (value, kind) in light.iter_mut().zip(&shapes.cone_type) {
         *value /= levels[usize::from(*kind).min(2)];
     }
@@ -179,6 +182,18 @@ mod tests {
     fn pictures_are_upright_for_both_eyes() {
         assert_eq!(brightest_corner(&squares(false)), (true, true));
         assert_eq!(brightest_corner(&squares(true)), (false, true));
+    }
+
+    #[test]
+    fn types_are_balanced_but_a_single_photon_stays_dark() {
+        let mut shapes = squares(false);
+        shapes.cone_type = vec![0, 0, 2, 2];
+        let grey =
+            |counts: [f64; 4]| colours(&shapes, &counts).iter().map(|colour| colour[2]).collect::<Vec<_>>();
+        let bright = grey([400.0, 400.0, 40.0, 40.0]);
+        assert!((bright[0] / TINT[0][2] - bright[2] / TINT[2][2]).abs() < 1e-6);
+        let dark = grey([400.0, 400.0, 0.0, 1.0]);
+        assert!((dark[3] / TINT[2][2] - 50.0 / 400.0).abs() < 1e-6 && dark[2] == 0.0);
     }
 
     #[test]

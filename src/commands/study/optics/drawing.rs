@@ -112,7 +112,7 @@ pub fn study(page: &mut Page) -> Result<(), Failure> {
         ("cornea 0.55: R 7.72, k -0.26; R 6.5", -3.7, 11.6),
         ("pupil, 0.4 off the axis", 4.0, 6.6),
         ("lens 4.00: R 10.2, k -3.1316; R -6.0, k -1", 4.6, -5.2),
-        ("aqueous 3.05", 0.85, -1.6),
+        ("aqueous 3.05", 0.75, 2.2),
         ("vitreous 16.3203", 13.0, -1.0),
         ("retina R 12, to the ora serrata (120°)", 8.6, 10.8),
     ] {

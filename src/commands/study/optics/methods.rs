@@ -203,7 +203,7 @@ impl Case {
             linear
         ]);
         let paper = vec![(seconds, stratified), (seconds, random)];
-        series.push(Series::new("paper: 1,024 rays, literal", paper, Style::Points, DARK));
+        series.push(Series::new("paper: 1,024 rays, stratified and random", paper, Style::Points, DARK));
         Ok(Chart {
             title: format!("{} mm, {} D, {:.0} µm window", self.pupil_mm, self.vergence_d, self.width()),
             x: Axis::log(kind()),
