@@ -6,7 +6,7 @@
 //! It is taken as the same at all wavelengths. The image keeps 1 − ∫f dΩ of its light; a cone at x receives as from a screen that
 //! sends `V(x) = Σ_j N_j f(θ_xj) ω_x` photons a pixel, ω the pixel's solid angle.
 //!
-//! Pixels are taken in blocks of about [`BLOCK_DEG`], those further than [`NEAR_DEG`] in blocks of ten by ten of them; V is computed
+//! Pixels are taken in blocks of about `BLOCK_DEG`, those further than `NEAR_DEG` in blocks of ten by ten of them; V is computed
 //! on a grid as fine as the blocks and interpolated linearly between.
 
 use glam::DVec2;
