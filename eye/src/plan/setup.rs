@@ -62,8 +62,8 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     let sight = gaze.bounds(seconds);
     let region = region(experiment, &projection, sight)?;
     let guard_um = if experiment.accuracy_target >= 0.005 { 150.0 } else { 300.0 };
-    if experiment.eye.stray_light.is_some() && experiment.counts.engine == Engine::Paper {
-        let allowed = "left out with counts.engine PAPER, which throws scattered light away (§19)";
+    if experiment.eye.stray_light.is_some() && experiment.counts.engine != Engine::Expected {
+        let allowed = "left out with counts.engine PAPER or EVENTS, which throw scattered light away (§19)";
         return Err(RangeError::new("eye.stray_light", "given", allowed).into());
     }
     let tiles = tiles(&region);

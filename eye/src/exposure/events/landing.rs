@@ -19,6 +19,9 @@ pub(super) const REFERENCE_NM: f64 = 543.0;
 /// tangent squared moves a photon by 0.02 µm there.
 const AFFINE: f64 = 0.0022;
 
+/// The mapping reaches this far beyond the cones, unit tangents (300 µm): what is seen beyond sends nothing to them that counts.
+const BEYOND: f64 = 0.018;
+
 /// The mapping.
 #[derive(Clone, Debug)]
 pub(super) struct Landing {
@@ -38,16 +41,15 @@ pub(super) struct Patch {
 }
 
 impl Landing {
-    /// Fits the window of a scene.
+    /// Fits what is seen of the window of a scene near its cones, whose rectangle on the screen is given.
     ///
     /// # Errors
     /// When a part of the window is not seen.
-    pub(super) fn new(projection: &Projection, scene: &Scene) -> Result<Self, String> {
+    pub(super) fn new(projection: &Projection, scene: &Scene, cones: [DVec2; 2]) -> Result<Self, String> {
         let size = DVec2::new(f64::from(scene.size_px[0]), f64::from(scene.size_px[1]));
         let (a, b) = (scene.tangent(DVec2::ZERO), scene.tangent(size));
-        let middle = 0.5 * (a + b);
-        // A little more than the window, for the movement inside a frame.
-        let half = (0.5 * (a - b)).abs() + 2.0 * AFFINE;
+        let (low, high) = (a.min(b).min(cones[0] - BEYOND), a.max(b).max(cones[1] + BEYOND));
+        let (middle, half) = (0.5 * (low + high), 0.5 * (high - low) + 2.0 * AFFINE);
         let nodes = super::super::nodes::chebyshev(-1.0, 1.0, POINTS);
         let (mut points, mut images) = (Vec::new(), Vec::new());
         for &y in &nodes {
@@ -62,6 +64,11 @@ impl Landing {
         let um = [fit.fit(images.iter().map(|p| p.x)), fit.fit(images.iter().map(|p| p.y))];
         let slope = [um[0].gradient(), um[1].gradient()];
         Ok(Self { middle, half, um, slope })
+    }
+
+    /// Whether a point of the screen is inside what was fitted.
+    fn holds(&self, tangent: DVec2) -> bool {
+        (tangent - self.middle).abs().cmple(self.half).all()
     }
 
     /// Image of a point of the screen (unit tangents), µm.
@@ -89,18 +96,20 @@ impl Landing {
         let (low, high) = crate::exposure::bounds(segments.iter().flat_map(|s| s.sight));
         let middle = corner + per_px * (0.5 - 0.5 * (low + high));
         let reach = (0.5 + 0.5 * (high - low)).length() * scene.tangent_per_px;
-        let affine = (reach < AFFINE).then(|| (middle, self.um(middle), self.jacobian(middle)));
+        let affine =
+            (reach < AFFINE && self.holds(middle)).then(|| (middle, self.um(middle), self.jacobian(middle)));
         Patch { corner, per_px, affine }
     }
 }
 
 impl Patch {
-    /// Image of a place (pixel units from the corner) under a line of sight (pixels from the gaze centre), µm.
-    pub(super) fn landing(&self, landing: &Landing, place: DVec2, sight: DVec2) -> DVec2 {
+    /// Image of a place (pixel units from the corner) under a line of sight (pixels from the gaze centre), µm; `None` when it is seen
+    /// far from all cones.
+    pub(super) fn landing(&self, landing: &Landing, place: DVec2, sight: DVec2) -> Option<DVec2> {
         let seen = self.corner + self.per_px * (place - sight);
-        match &self.affine {
+        landing.holds(seen).then(|| match &self.affine {
             Some((middle, um, jacobian)) => *um + *jacobian * (seen - *middle),
             None => landing.um(seen),
-        }
+        })
     }
 }

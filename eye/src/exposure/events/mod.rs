@@ -97,7 +97,9 @@ impl Events {
     /// When a part of the window is not seen or the pupil cannot be traced.
     pub fn new(experiment: &Experiment, inputs: &Inputs, cones: &ConeTable) -> Result<Self, String> {
         let Inputs { retina, kernels, projection, projector, scene, .. } = inputs;
-        let landing = Landing::new(projection, scene)?;
+        let (low, high) =
+            super::bounds(cones.cones.iter().flat_map(|c| c.polygon_px.iter().map(|p| scene.tangent(*p))));
+        let landing = Landing::new(projection, scene, [low, high])?;
         let tables = Tables::new(inputs, cones, &landing, experiment.accuracy_target)?;
         let [width, height] = scene.size_px;
         let law = projector.display.emission_law;
@@ -209,7 +211,9 @@ impl Events {
     /// One photon from a pixel: where it lands, and what the cone there does with it.
     fn photon(&self, beam: &Beam, patch: &Patch, time: f64, dice: &mut Dice, tally: &mut Tally) {
         let place = place(beam.emitter, dice);
-        let seen = patch.landing(&self.landing, place, sight(&beam.layer.segments, time));
+        let Some(seen) = patch.landing(&self.landing, place, sight(&beam.layer.segments, time)) else {
+            return;
+        };
         let node = self.tables.node(seen, beam.wave, dice.pair());
         let offset = node.spread.draw(dice.bits(), || dice.pair());
         let landed = seen + node.shift_um + node.chart_from_tangents * offset;

@@ -76,23 +76,20 @@ impl Tables {
         let shares = spec.shares();
         let [ecc_from, ecc_to] = spec.ecc_deg;
         let ecc = |step: usize| ecc_from + (ecc_to - ecc_from) * step as f64 / ECC_STEPS as f64;
-        let by_ecc = |primary: usize, kind: usize, wave: usize| -> [f32; ECC_STEPS + 1] {
-            std::array::from_fn(|step| {
-                let weights = absorbers.weights(
-                    &shares[primary],
-                    &spec.nodes_nm,
-                    KINDS[kind],
-                    ecc(step),
-                    kernels.paths(),
-                );
-                weights[wave] as f32
-            })
-        };
         let waves = spec.nodes_nm.len();
-        let weights: Vec<Vec<Vec<_>>> = (0..shares.len())
-            .into_par_iter()
-            .map(|k| (0..waves).map(|m| (0..KINDS.len()).map(|kind| by_ecc(k, kind, m)).collect()).collect())
-            .collect();
+        let of_primary = |shares: &Vec<_>| {
+            let mut weights = vec![vec![[0.0; ECC_STEPS + 1]; KINDS.len()]; waves];
+            for (k, kind) in KINDS.into_iter().enumerate() {
+                for step in 0..=ECC_STEPS {
+                    let caught = absorbers.weights(shares, &spec.nodes_nm, kind, ecc(step), kernels.paths());
+                    for (wave, value) in weights.iter_mut().zip(caught) {
+                        wave[k][step] = value as f32;
+                    }
+                }
+            }
+            weights
+        };
+        let weights: Vec<Vec<Vec<[f32; ECC_STEPS + 1]>>> = shares.par_iter().map(of_primary).collect();
         let cones: Vec<Cone> = cones
             .cones
             .iter()
