@@ -36,6 +36,18 @@ pub struct Emitter {
 }
 
 impl Emitter {
+    /// The rectangle `[x0, y0, x1, y1]` that a photon comes from, by share, for a uniform number.
+    pub fn rect(&self, uniform: f64) -> [f64; 4] {
+        let mut left = uniform;
+        for (rect, share) in &self.rects {
+            if left < *share {
+                return *rect;
+            }
+            left -= share;
+        }
+        self.rects[self.rects.len() - 1].0
+    }
+
     /// Photons of a fully driven pixel in a frame, all wavelengths.
     pub fn emitted(&self) -> f64 {
         self.photons.iter().map(|p| p.emitted).sum()

@@ -251,18 +251,8 @@ fn sight(segments: &[Segment], uniform: f64) -> DVec2 {
 
 /// A point of the emitter's rectangles, pixel units.
 fn place(emitter: &Emitter, dice: &mut Dice) -> DVec2 {
-    let mut chosen = emitter.rects[emitter.rects.len() - 1].0;
-    if emitter.rects.len() > 1 {
-        let mut left = dice.pair().x;
-        for (rect, share) in &emitter.rects {
-            if left < *share {
-                chosen = *rect;
-                break;
-            }
-            left -= share;
-        }
-    }
-    let [x0, y0, x1, y1] = chosen;
+    let uniform = if emitter.rects.len() > 1 { dice.pair().x } else { 0.0 };
+    let [x0, y0, x1, y1] = emitter.rect(uniform);
     let place = DVec2::new(x0, y0) + DVec2::new(x1 - x0, y1 - y0) * dice.pair();
     if emitter.spot_sd_px > 0.0 {
         let pair = dice.pair();

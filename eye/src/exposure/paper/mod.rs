@@ -243,16 +243,7 @@ impl Paper {
 
     /// A point of the emitter's rectangles and spot, pixel units.
     fn place(emitter: &Emitter, stream: &mut Stream) -> DVec2 {
-        let mut left = stream.uniform();
-        let mut chosen = emitter.rects[emitter.rects.len() - 1].0;
-        for (rect, share) in &emitter.rects {
-            if left < *share {
-                chosen = *rect;
-                break;
-            }
-            left -= share;
-        }
-        let [x0, y0, x1, y1] = chosen;
+        let [x0, y0, x1, y1] = emitter.rect(stream.uniform());
         let place = DVec2::new(x0 + (x1 - x0) * stream.uniform(), y0 + (y1 - y0) * stream.uniform());
         if emitter.spot_sd_px <= 0.0 {
             return place;
