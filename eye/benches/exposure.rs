@@ -56,6 +56,19 @@ fn main() {
     let mut experiment = figure_12(Pattern::Checkerboard { square_px: 3 });
     let expected = prepared(&experiment);
     let fast = median(9, || drop(expected.frame(0, None).unwrap()));
+    experiment.counts.engine = Engine::Events;
+    let events = prepared(&experiment);
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let counted: f64 = events.frame(0, None).unwrap().budget.isomerized.iter().sum();
+    let [alone, both] = [
+        one.install(|| median(3, || drop(events.frame(0, None).unwrap()))),
+        median(3, || drop(events.frame(0, None).unwrap())),
+    ];
+    println!(
+        "events, one frame on one core                {alone:8.2} s   {:.0} ns a counted photon, {:.2} times as fast on all",
+        1e9 * alone / counted,
+        alone / both
+    );
     experiment.counts.engine = Engine::Paper;
     let paper = prepared(&experiment);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();

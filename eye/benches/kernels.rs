@@ -7,19 +7,16 @@
     reason = "a benchmark prints and stops at the first error"
 )]
 
+#[path = "clock/mod.rs"]
+mod clock;
 #[path = "../tests/support/mod.rs"]
 mod support;
 
+use clock::cpu_seconds;
 use photoneye_eye::artifact::ArtifactSpec;
 use photoneye_eye::exposure::KernelSpec;
 use photoneye_eye::plan::plan;
 use support::{WHITE, figure_12};
-
-/// Seconds that this thread has had a core, which other work on the machine does not lengthen (Linux).
-fn cpu_seconds() -> f64 {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
-    1e-9 * text.split(' ').next().unwrap().parse::<f64>().unwrap()
-}
 
 /// CPU seconds of a build, the shortest of `runs`, and the megabytes of its bytes.
 fn build(spec: &KernelSpec, runs: usize) -> (f64, f64) {

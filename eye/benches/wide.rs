@@ -7,23 +7,20 @@
     reason = "a benchmark prints and stops at the first error"
 )]
 
+#[path = "clock/mod.rs"]
+mod clock;
 #[path = "../tests/support/mod.rs"]
 mod support;
 
 use std::collections::BTreeMap;
 
+use clock::cpu_seconds;
 use photoneye_eye::artifact::{ArtifactSpec, Input};
 use photoneye_eye::digest::Digest;
 use photoneye_eye::experiment::Pattern;
 use photoneye_eye::exposure::Exposure;
 use photoneye_eye::plan::{Plan, plan};
 use support::figure_12;
-
-/// Seconds that this thread has had a core.
-fn cpu_seconds() -> f64 {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
-    1e-9 * text.split(' ').next().unwrap().parse::<f64>().unwrap()
-}
 
 fn timed<T>(f: impl FnOnce() -> T) -> (T, f64) {
     let started = cpu_seconds();
