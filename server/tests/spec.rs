@@ -228,6 +228,19 @@ fn persons_sizes_and_pupils() {
     assert!(own(json!({"focus": {"relaxed": true}})).relaxed);
 }
 
+/// Losses of light are fields of the eye beside its data: they leave the preset as it is.
+#[test]
+fn scattered_and_reflected_light() {
+    let own = |eye: Value| read(&with("eye", eye)).unwrap().eye;
+    let usual = own(json!({"stray_light": {}, "reflection_losses": true}));
+    let light = usual.stray_light.unwrap();
+    assert_eq!((light.age_years, light.pigmentation), (30.0, 0.5));
+    assert!(usual.reflection_losses && usual.prescription.is_none());
+    assert!(own(json!({})).stray_light.is_none());
+    let error = read(&with("eye", json!({"stray_light": {"age_years": 200}}))).unwrap_err();
+    assert!(error.starts_with("eye.stray_light.age_years: 200 is out of range"), "{error}");
+}
+
 #[test]
 fn eyes_that_are_none_are_refused_by_field() {
     let cases = [

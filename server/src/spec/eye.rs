@@ -101,6 +101,8 @@ fn prescription(preset: &str, spec: &v1::Eye) -> Result<Option<Box<Prescription>
         pupil_shift_mm_per_mm: None,
         axial_length_mm: None,
         person: None,
+        reflection_losses: None,
+        stray_light: None,
         ..spec.clone()
     };
     let mut own = None;
