@@ -5,12 +5,14 @@
 
 mod emitter;
 mod panel;
+mod scan;
 mod waveform;
 
 use serde::{Deserialize, Serialize};
 
 pub use emitter::{Emitter, PhotonSample, emitters, photon_shares, pupil_share, pupil_share_at};
 pub use panel::{Levels, Panel, Place, step, stepped};
+pub use scan::Scan;
 pub use waveform::{FORGOTTEN, MAX_HISTORY, Part, Timing, Waveform, light_until};
 
 use crate::experiment::{RangeError, check_range};
@@ -171,7 +173,15 @@ impl Display {
         let planes = matches!(self.panel.levels, Levels::Planes { .. });
         for (k, primary) in self.primaries.iter().enumerate() {
             let path = format!("display.primaries[{k}].waveform");
-            let phosphor = matches!(primary.waveform, Waveform::Phosphor { .. });
+            let scanned = primary.waveform.scan().is_some();
+            if scanned && (planes || self.panel.lag_ms > 0.0) {
+                let allowed = "no scan before bit planes or pixels that settle slowly";
+                return Err(RangeError::new(&format!("{path}.scan"), "given", allowed));
+            }
+            let phosphor = match &primary.waveform {
+                Waveform::Scanned { pixel, .. } => matches!(**pixel, Waveform::Phosphor { .. }),
+                other => matches!(other, Waveform::Phosphor { .. }),
+            };
             if phosphor && (planes || self.panel.lag_ms > 0.0) {
                 let allowed = "no phosphor behind bit planes or pixels that settle slowly";
                 return Err(RangeError::new(&path, "phosphor", allowed));

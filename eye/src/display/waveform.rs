@@ -6,10 +6,11 @@
 //!   m = e^{-k};
 //! * a pixel that settles in τ, κ = T/τ, before a light b(u): `now = b (1 - e^{-κu})`, `past = b e^{-κu}`, m = e^{-κ}.
 //!
-//! For a still picture both sum to one frame of light.
+//! For a still picture both sum to one frame of light. A scanned screen gives each pixel its waveform a delay later ([`super::scan`]).
 
 use serde::{Deserialize, Serialize};
 
+use super::scan::Scan;
 use crate::experiment::{RangeError, check_range};
 
 /// Most pulses of a frame.
@@ -41,6 +42,13 @@ pub enum Waveform {
         decay_us: f64,
         /// When it flashes, part of the frame.
         start: f64,
+    },
+    /// Each pixel in its turn, from the top left to the bottom right.
+    Scanned {
+        /// What a pixel does from its turn on; not scanned, not PWM.
+        pixel: Box<Waveform>,
+        /// The turns.
+        scan: Scan,
     },
 }
 
@@ -122,6 +130,18 @@ impl Waveform {
                 check_range(&format!("{path}.phosphor.decay_us"), *decay_us, 1e-3, 1e6)?;
                 check_range(&format!("{path}.phosphor.start"), *start, 0.0, 1.0 - 1e-6)
             }
+            Self::Scanned { pixel, scan } => {
+                scan.validate(path, pixel)?;
+                pixel.validate(path, frame_rate_hz)
+            }
+        }
+    }
+
+    /// The turns of a scanned screen.
+    pub fn scan(&self) -> Option<&Scan> {
+        match self {
+            Self::Scanned { scan, .. } => Some(scan),
+            Self::Steady | Self::Pulses(_) | Self::Pwm { .. } | Self::Phosphor { .. } => None,
         }
     }
 
@@ -149,11 +169,37 @@ impl Waveform {
                 let decay = frame_s / (decay_us * 1e-6) * (1.0 - start);
                 vec![Part { start: *start, end: 1.0, share: -(-decay).exp_m1(), decay }]
             }
+            Self::Scanned { pixel, .. } => pixel.source(index, frame_s),
         }
     }
 
-    /// The timing of frame `index` behind pixels that settle in `lag_ms` (0: at once).
+    /// The timing of a pixel whose turn comes `delay` of a frame after the frame's start; without a scan, as [`Waveform::timing`].
+    pub fn timing_at(&self, index: u32, frame_s: f64, lag_ms: f64, delay: f64) -> Timing {
+        let Self::Scanned { pixel, .. } = self else {
+            return self.timing(index, frame_s, lag_ms);
+        };
+        if let Self::Phosphor { decay_us, start } = **pixel {
+            return Self::Phosphor { decay_us, start: start + delay }.timing(index, frame_s, 0.0);
+        }
+        // What is late for its frame falls into the next one.
+        let (mut now, mut past) = (Vec::new(), Vec::new());
+        for part in pixel.source(index, frame_s) {
+            let (start, end) = (part.start + delay, part.end + delay);
+            let piece = |from: f64, to: f64, shift: f64| {
+                let share = part.share * (to - from) / (end - start);
+                (to > from).then_some(Part { start: from - shift, end: to - shift, share, decay: 0.0 })
+            };
+            now.extend(piece(start.min(1.0), end.min(1.0), 0.0));
+            past.extend(piece(start.max(1.0), end.max(1.0), 1.0));
+        }
+        Timing { now, past, memory: 0.0 }
+    }
+
+    /// The timing of frame `index` behind pixels that settle in `lag_ms` (0: at once); of a scanned screen that of its last pixel.
     pub fn timing(&self, index: u32, frame_s: f64, lag_ms: f64) -> Timing {
+        if let Self::Scanned { scan, .. } = self {
+            return self.timing_at(index, frame_s, lag_ms, scan.share);
+        }
         let mut now = self.source(index, frame_s);
         if let Self::Phosphor { decay_us, start } = self {
             let folds = frame_s / (decay_us * 1e-6);
@@ -200,6 +246,10 @@ mod tests {
         parts.iter().map(|p| p.share).sum()
     }
 
+    fn scanned(pixel: Waveform) -> Waveform {
+        Waveform::Scanned { pixel: Box::new(pixel), scan: Scan { share: 0.93, line: 0.8 } }
+    }
+
     fn all() -> Vec<(Waveform, f64)> {
         vec![
             (Waveform::Steady, 0.0),
@@ -210,6 +260,9 @@ mod tests {
             (Waveform::Pwm { hz: 240.0, duty: 0.25 }, 4.0),
             (Waveform::Phosphor { decay_us: 150.0, start: 0.3 }, 0.0),
             (Waveform::Phosphor { decay_us: 30_000.0, start: 0.0 }, 0.0),
+            (scanned(Waveform::Phosphor { decay_us: 5000.0, start: 0.05 }), 0.0),
+            (scanned(Waveform::Pulses(vec![[0.1, 0.2], [0.6, 0.9]])), 0.0),
+            (scanned(Waveform::Steady), 0.0),
         ]
     }
 
@@ -245,6 +298,27 @@ mod tests {
                 light += total(&timing.past) * (1.0 - timing.memory) * timing.memory.powi(j - 1);
             }
             assert!((light - 1.0).abs() < 1e-9, "{waveform:?} {light}");
+        }
+    }
+
+    /// A pixel's light is the unscanned one, later: over this frame and what the next one holds of it.
+    #[test]
+    fn a_scanned_pixel_gives_its_light_later() {
+        for pixel in [
+            Waveform::Steady,
+            Waveform::Pulses(vec![[0.1, 0.3], [0.6, 0.9]]),
+            Waveform::Phosphor { decay_us: 3000.0, start: 0.02 },
+        ] {
+            for delay in [0.0, 0.25, 0.7, 0.93] {
+                let late = scanned(pixel.clone()).timing_at(3, 0.01, 0.0, delay);
+                let own = pixel.timing(3, 0.01, 0.0);
+                assert!((total(&late.now) + total(&late.past) - 1.0).abs() < 1e-12);
+                for u in [0.2, 0.5, 0.9, 1.0] {
+                    // What earlier flashes left of a phosphor is the same function, shifted; here it is below 1e-4.
+                    let wanted = light_until(&own.now, u - delay);
+                    assert!((light_until(&late.now, u) - wanted).abs() < 1e-4, "{pixel:?} {delay} {u}");
+                }
+            }
         }
     }
 

@@ -62,9 +62,18 @@ pub struct Course {
     pub parts: Vec<Part>,
 }
 
-/// The layers of an emitter in a frame. Their light sums to the frame's.
+/// The layers of an emitter in a frame. Their light sums to the frame's. Of a scanned screen those of its last pixel, see [`courses_at`].
 pub fn courses(emitter: &Emitter, display: &Display, index: u32) -> Vec<Course> {
-    let timing = timing(emitter, display, index);
+    courses_of(emitter, display, timing(emitter, display, index))
+}
+
+/// The layers of the pixels of a scanned screen whose turn comes `delay` of a frame after the frame's start.
+pub fn courses_at(emitter: &Emitter, display: &Display, index: u32, delay: f64) -> Vec<Course> {
+    let frame_s = 1.0 / display.frame_rate_hz;
+    courses_of(emitter, display, emitter.waveform.timing_at(index, frame_s, display.panel.lag_ms, delay))
+}
+
+fn courses_of(emitter: &Emitter, display: &Display, timing: Timing) -> Vec<Course> {
     let Levels::Planes { bits, .. } = display.panel.levels else {
         let mut courses = vec![Course { shows: Shows::Now, parts: timing.now }];
         if !timing.past.is_empty() {
@@ -170,6 +179,13 @@ pub fn frame_light(
         [Course { shows: Shows::Bit(_), .. }, ..] => {
             let share = courses[courses.len() - 1].share();
             share * light(display, emitter, Shows::Now, shown, at)
+        }
+        // Where earlier pictures matter, how much depends on the pixel's turn.
+        [_, _, ..] if let Some(scan) = emitter.waveform.scan() => {
+            courses_at(emitter, display, shown.index, scan.delay(display, at))
+                .iter()
+                .map(|course| course.share() * light(display, emitter, course.shows, shown, at))
+                .sum()
         }
         _ => courses
             .iter()

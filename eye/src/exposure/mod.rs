@@ -19,6 +19,7 @@ mod nodes;
 mod paper;
 mod poisson;
 mod polar;
+mod scan;
 pub mod scene;
 mod source;
 pub mod spectral;

@@ -59,6 +59,10 @@ impl Projector {
                     layers: vec![Layer { light: window(scene, at), segments: vec![rest] }],
                 };
             }
+            if let Some(scan) = emitter.waveform.scan() {
+                let layers = super::scan::layers(self, (emitter, scan), shown, scene, photons);
+                return SourcePrimary { layers };
+            }
             let layer = |course: &Course| {
                 let at = |at: [u32; 2]| light(&self.display, emitter, course.shows, shown, at) * photons;
                 let segments = course.segments(&self.gaze, shown.index, seconds, scene.tangent_per_px);
@@ -71,7 +75,8 @@ impl Projector {
 }
 
 impl Layer {
-    fn is_lit(&self) -> bool {
+    /// Whether it has any light.
+    pub fn is_lit(&self) -> bool {
         !self.segments.is_empty() && self.light.iter().any(|l| *l > 0.0)
     }
 

@@ -21,7 +21,7 @@ use crate::cone::pigment::axial_density;
 use crate::display::Emitter;
 use crate::experiment::{Experiment, PaperSettings};
 use crate::exposure::inputs::Inputs;
-use crate::exposure::light::{Course, Shown, courses, frame_light, light};
+use crate::exposure::light::{Course, Shown, courses, courses_at, frame_light, light};
 use crate::exposure::scene::Scene;
 use crate::exposure::source::Projector;
 use crate::exposure::spectral::{Absorbers, Paths};
@@ -227,7 +227,11 @@ impl Paper {
         let (column, row) = (pixel % width, pixel / width);
         let at = [self.scene.first_px[0] + column as u32, self.scene.first_px[1] + row as u32];
         let seconds = 1.0 / projector.display.frame_rate_hz;
-        for course in courses {
+        // On a scanned screen each pixel has a time of its own.
+        let own = emitter.waveform.scan().map(|scan| {
+            courses_at(emitter, &projector.display, shown.index, scan.delay(&projector.display, at))
+        });
+        for course in own.as_deref().unwrap_or(courses) {
             let light = course.share() * light(&projector.display, emitter, course.shows, shown, at);
             let mean = light * emitter.emitted() * projector.pupil_share * self.slant[pixel];
             for _ in 0..crate::exposure::poisson::from_stream(stream, mean) as u64 {
