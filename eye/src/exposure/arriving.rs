@@ -6,10 +6,11 @@
 //! in any frame.
 
 use rayon::prelude::*;
-use rustfft::num_complex::Complex64;
+use rustfft::num_complex::{Complex, Complex64};
 
-use super::expected::{BasisImage, Stencils};
-use super::grid::{Frequency, picture_spectrum};
+use super::expected::BasisImage;
+use super::gather::Stencils;
+use super::grid::{Band, Real, picture_spectrum};
 
 /// `[primary][frequency]`: weights by which what the display sends adds to a sum over cones.
 #[derive(Clone, Debug)]
@@ -22,7 +23,7 @@ impl ConeSum {
         coefficients: &[Vec<f64>],
         weights: &[f64],
         stencils: &Stencils,
-        frequencies: &[Frequency],
+        band: &Band,
         samples: [usize; 2],
     ) -> Self {
         let spectra: Vec<Vec<Complex64>> = (0..images.len())
@@ -32,28 +33,29 @@ impl ConeSum {
                 for (cone, (own, weight)) in coefficients.iter().zip(weights).enumerate() {
                     stencils.add(cone, own[r] * weight, &mut grid, samples);
                 }
-                picture_spectrum(&grid, samples, samples, frequencies)
+                picture_spectrum(&grid, samples, samples, band)
             })
             .collect();
         let primaries = images.first().map_or(0, |image| image.kernels.len());
         let by_primary = (0..primaries).map(|primary| {
-            let at = |i: usize| {
-                let twice = if frequencies[i] == (Frequency { x: 0, y: 0 }) { 1.0 } else { 2.0 };
+            let at = |(i, nu): (usize, [i32; 2])| {
+                let twice = if nu == [0, 0] { 1.0 } else { 2.0 };
                 let kernel = |r: usize| {
                     let k = images[r].kernels[primary][i];
                     Complex64::new(f64::from(k.re), f64::from(k.im))
                 };
                 twice * (0..images.len()).map(|r| kernel(r) * spectra[r][i].conj()).sum::<Complex64>()
             };
-            (0..frequencies.len()).map(at).collect()
+            band.iter().enumerate().map(at).collect()
         });
         Self(by_primary.collect())
     }
 
     /// The sum in a frame of which `drive[primary][frequency]` is sent.
-    pub fn of(&self, drive: &[Vec<Complex64>]) -> f64 {
-        let part = |(weights, sent): (&Vec<Complex64>, &Vec<Complex64>)| {
-            weights.iter().zip(sent).map(|(w, s)| w.re * s.re - w.im * s.im).sum::<f64>()
+    pub fn of<T: Real>(&self, drive: &[Vec<Complex<T>>]) -> f64 {
+        let part = |(weights, sent): (&Vec<Complex64>, &Vec<Complex<T>>)| {
+            let term = |(w, s): (&Complex64, &Complex<T>)| w.re * s.re.wide() - w.im * s.im.wide();
+            weights.iter().zip(sent).map(term).sum::<f64>()
         };
         self.0.iter().zip(drive).map(part).sum()
     }

@@ -4,7 +4,7 @@
 //! draw per cone is the same distribution as following every photon. In pixel coordinates the density of counts is
 //! `I(x) = Σ_k N_k Σ_ij a_k[ij] (rect_k * drift_k * K_k)(x - x_ij)`; its Fourier coefficients on the period (P_x, P_y) are
 //! `N_k Â_k(ν) R_k(ν) D_k(ν) K_k(ν) / (P_x P_y)`. Each basis kernel gives one image; a cone's mean is the sum of its images'
-//! integrals over its aperture ([`super::spread`]) with its own coefficients.
+//! integrals over its aperture ([`super::spread`], [`super::gather`]) with its own coefficients.
 //!
 //! # Cost
 //! Per frame one small transform per primary, half an inverse transform of the grid per basis image and a sparse gather per cone;
@@ -12,17 +12,19 @@
 
 use glam::DVec2;
 use rayon::prelude::*;
-use rustfft::num_complex::{Complex32, Complex64};
+use rustfft::num_complex::{Complex, Complex32, Complex64};
 
 use super::arriving::ConeSum;
 use super::cones::{ConeTable, MappedCone};
-use super::grid::{Frequency, picture_spectrum, two_images};
+use super::drive::drive;
+use super::gather::{LANES, Sheet, Stencils};
+use super::grid::{Band, Real, two_images};
 use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::scene::Scene;
-use super::source::{Source, SourcePrimary, pixel_transform};
+use super::source::{Source, pixel_transform};
 use super::spectral::KINDS;
-use super::spread::{LANES, Spread, polygon_nodes};
+use super::spread::Spread;
 use crate::display::Emitter;
 
 /// Index of the kind that counts arriving photons.
@@ -69,23 +71,10 @@ pub struct BasisImage {
     pub kernels: Vec<Vec<Complex32>>,
 }
 
-/// The weights of all cones on the grid.
-#[derive(Default)]
-pub struct Stencils {
-    stencils: Vec<Stencil>,
-    weights: Vec<f32>,
-}
-
-struct Stencil {
-    first: [u32; 2],
-    size: [u32; 2],
-    offset: usize,
-}
-
 /// A prepared scene.
 pub struct Expected {
     scene: Scene,
-    frequencies: Vec<Frequency>,
+    band: Band,
     /// `[primary][frequency]`: transform of the pixel's rectangles over P_x P_y φ̂_x φ̂_y.
     pixels: Vec<Vec<Complex64>>,
     /// Whether images are transformed in single precision.
@@ -93,11 +82,19 @@ pub struct Expected {
     /// Images of isomerizations, those of a kind together.
     images: Vec<BasisImage>,
     stencils: Stencils,
-    /// By cone: coefficients of its kind's images, with the cone's own factor in them.
-    coefficients: Vec<Vec<f64>>,
-    kinds: Vec<usize>,
+    cones: Vec<OwnImages>,
+    /// Coefficients of the cones' images, `[cone][sheet][lane]`, with the cone's own factor in them; 0 for images of other kinds.
+    coefficients: Vec<[f64; LANES]>,
     arrived: ConeSum,
     guided: ConeSum,
+}
+
+/// Which sheets hold the images of a cone's kind, and where its coefficients begin.
+#[derive(Clone, Copy)]
+struct OwnImages {
+    first: u32,
+    end: u32,
+    offset: u32,
 }
 
 impl Expected {
@@ -106,108 +103,74 @@ impl Expected {
         let Inputs { kernels, projector, .. } = inputs;
         let scene = inputs.scene.clone();
         let spread = Spread::new(settings.spread_width, 1.6);
-        let frequencies = kept_frequencies(&scene);
-        let pixels = pixel_transforms(&scene, &spread, &frequencies, &projector.emitters);
-        let mut images = basis_images(&scene, kernels, &frequencies, cones);
+        let band = Band::new(scene.period_px, scene.samples, scene.band * scene.tangent_per_px);
+        let pixels = pixel_transforms(&scene, &spread, &band, &projector.emitters);
+        let mut images = basis_images(&scene, kernels, &band, cones);
         let arriving = images.split_off(images.iter().take_while(|image| image.kind != ARRIVING).count());
         let stencils = Stencils::new(&scene, &spread, cones);
-        let of_cones = |kind: &(dyn Fn(&MappedCone) -> usize + Sync),
-                        factor: &(dyn Fn(&MappedCone) -> f64 + Sync)| {
-            let of_cone = |cone: &MappedCone| {
-                let own = kernels.coefficients(kind(cone), cone.um, cone.ecc_deg);
-                own.into_iter().map(|c| c * factor(cone)).collect()
-            };
-            cones.cones.par_iter().map(of_cone).collect::<Vec<Vec<f64>>>()
-        };
-        let coefficients = of_cones(&|c| c.cone_type as usize, &|c| c.geometry * c.pointing);
-        let received = of_cones(&|_| ARRIVING, &|c| c.geometry);
+        let received: Vec<Vec<f64>> = (cones.cones.par_iter())
+            .map(|c| {
+                kernels.coefficients(ARRIVING, c.um, c.ecc_deg).into_iter().map(|own| own * c.geometry).collect()
+            })
+            .collect();
         let sum = |weight: &dyn Fn(&MappedCone) -> f64| {
             let weights: Vec<f64> = cones.cones.iter().map(weight).collect();
-            ConeSum::new(&arriving, &received, &weights, &stencils, &frequencies, scene.samples)
+            ConeSum::new(&arriving, &received, &weights, &stencils, &band, scene.samples)
         };
         let (arrived, guided) = (sum(&|_| 1.0), sum(&|c| c.pointing));
+        let (cones, coefficients) = own_images(kernels, &images, cones);
         Self {
             scene,
             pixels,
             single: settings.single,
             images,
             stencils,
+            cones,
             coefficients,
-            kinds: cones.cones.iter().map(|c| c.cone_type as usize).collect(),
             arrived,
             guided,
-            frequencies,
+            band,
         }
     }
 
     /// Means of one frame of a source.
     pub fn frame(&self, source: &Source) -> Means {
-        let drive = self.drive(source);
-        let pairs: Vec<[usize; 2]> =
-            (0..self.images.len()).step_by(2).map(|i| [i, (i + 1).min(self.images.len() - 1)]).collect();
-        let grids: Vec<Vec<f32>> = pairs
-            .par_iter()
-            .map(|&[a, b]| {
-                let (first, second) =
-                    (self.coefficients_of_image(a, &drive), self.coefficients_of_image(b, &drive));
-                if self.single {
-                    two_images::<f32>(&self.frequencies, &first, &second, self.scene.samples)
-                } else {
-                    two_images::<f64>(&self.frequencies, &first, &second, self.scene.samples)
-                }
+        if self.single { self.frame_in::<f32>(source) } else { self.frame_in::<f64>(source) }
+    }
+
+    fn frame_in<T: Real>(&self, source: &Source) -> Means {
+        let drive: Vec<Vec<Complex<T>>> = drive(source, &self.pixels, &self.scene, &self.band);
+        let samples = self.scene.samples;
+        let pair = |images: &[BasisImage]| {
+            let last = images.len() - 1;
+            two_images(&self.band, [&images[0].kernels, &images[last].kernels], &drive, samples)
+        };
+        let sheets: Vec<Sheet> = self
+            .images
+            .par_chunks(LANES)
+            .map(|images| {
+                let first = pair(&images[..images.len().min(2)]);
+                let second = (images.len() > 2).then(|| pair(&images[2..]));
+                self.stencils.sheet(&first, second.as_deref(), samples)
             })
-            .collect::<Vec<_>>()
-            .into_iter()
-            .flatten()
-            .take(self.images.len())
             .collect();
         let (arrived, guided) = (self.arrived.of(&drive), self.guided.of(&drive));
-        self.gather(&grids, arrived, guided)
+        self.gather(&sheets, arrived, guided)
     }
 
-    /// `[primary][frequency]`: what the display sends, before the eye.
-    fn drive(&self, source: &Source) -> Vec<Vec<Complex64>> {
-        let [px, py] = self.scene.period_px;
-        let size = self.scene.size_px.map(|s| s as usize);
-        let sent = |(primary, pixel): (&SourcePrimary, &Vec<Complex64>)| {
-            let mut sent = vec![Complex64::ZERO; self.frequencies.len()];
-            for layer in &primary.layers {
-                let spectrum = picture_spectrum(&layer.light, size, [px, py], &self.frequencies);
-                let add = |(((nu, pixel), light), sum): (
-                    ((&Frequency, &Complex64), &Complex64),
-                    &mut Complex64,
-                )| {
-                    let cycles = DVec2::new(f64::from(nu.x) / px as f64, f64::from(nu.y) / py as f64);
-                    *sum += light * pixel * layer.movement(cycles);
-                };
-                let terms = self.frequencies.par_iter().zip(pixel).zip(&spectrum).zip(&mut sent);
-                terms.with_min_len(4096).for_each(add);
-            }
-            sent
-        };
-        source.primaries.iter().zip(&self.pixels).map(sent).collect()
-    }
-
-    fn coefficients_of_image(&self, image: usize, drive: &[Vec<Complex64>]) -> Vec<Complex64> {
-        let mut sum = vec![Complex64::ZERO; self.frequencies.len()];
-        for (kernel, sent) in self.images[image].kernels.iter().zip(drive) {
-            for ((s, k), d) in sum.iter_mut().zip(kernel).zip(sent) {
-                *s += d * Complex64::new(f64::from(k.re), f64::from(k.im));
-            }
-        }
-        sum
-    }
-
-    fn gather(&self, grids: &[Vec<f32>], arrived: f64, guided: f64) -> Means {
-        let values: Vec<f64> = (0..self.kinds.len())
+    fn gather(&self, sheets: &[Sheet], arrived: f64, guided: f64) -> Means {
+        let values: Vec<f64> = (0..self.cones.len())
             .into_par_iter()
             .with_min_len(256)
             .map(|cone| {
-                let kind = self.kinds[cone];
-                let own = grids.iter().zip(&self.images).filter(|(_, image)| image.kind == kind);
-                let parts = own.zip(&self.coefficients[cone]).map(|((grid, _), coefficient)| {
-                    coefficient * self.stencils.integral(cone, grid, self.scene.samples)
-                });
+                let own = self.cones[cone];
+                let coefficients = &self.coefficients[own.offset as usize..];
+                let parts = sheets[own.first as usize..own.end as usize].iter().zip(coefficients).map(
+                    |(sheet, coefficients)| {
+                        let integrals = self.stencils.integrals(cone, sheet);
+                        integrals.iter().zip(coefficients).map(|(i, c)| f64::from(*i) * c).sum::<f64>()
+                    },
+                );
                 parts.sum()
             })
             .collect();
@@ -216,89 +179,44 @@ impl Expected {
     }
 }
 
-impl Stencils {
-    fn new(scene: &Scene, spread: &Spread, cones: &ConeTable) -> Self {
-        let per_px = scene.samples_per_px();
-        let weights_of = |cone: &MappedCone| {
-            // Positions in samples, areas in pixels.
-            let nodes: Vec<_> =
-                polygon_nodes(&cone.polygon_px).into_iter().map(|(p, w)| (p * per_px, w)).collect();
-            spread.weights(&nodes, scene.samples)
-        };
-        let gathered: Vec<_> = cones.cones.par_iter().map(weights_of).collect();
-        let mut all = Self::default();
-        for cone in gathered {
-            let offset = all.weights.len();
-            all.weights.extend(cone.values);
-            all.stencils.push(Stencil { first: cone.first, size: cone.size, offset });
+/// The sheets of each cone and its coefficients in them.
+fn own_images(
+    kernels: &Kernels,
+    images: &[BasisImage],
+    cones: &ConeTable,
+) -> (Vec<OwnImages>, Vec<[f64; LANES]>) {
+    let of_kind = |kind: usize| {
+        let first = images.iter().take_while(|image| image.kind != kind).count();
+        (first, first + images.iter().filter(|image| image.kind == kind).count())
+    };
+    let ranges: Vec<(usize, usize)> = (0..ARRIVING).map(of_kind).collect();
+    let of_cone = |cone: &MappedCone| {
+        let kind = cone.cone_type as usize;
+        let (first, end) = ranges[kind];
+        let mut lanes = vec![[0.0; LANES]; end.div_ceil(LANES) - first / LANES];
+        let factor = cone.geometry * cone.pointing;
+        for (image, own) in (first..end).zip(kernels.coefficients(kind, cone.um, cone.ecc_deg)) {
+            lanes[image / LANES - first / LANES][image % LANES] = own * factor;
         }
-        all
-    }
-
-    fn of(&self, cone: usize) -> ([usize; 2], [usize; 2], &[f32]) {
-        let stencil = &self.stencils[cone];
-        let size = stencil.size.map(|v| v as usize);
-        (stencil.first.map(|v| v as usize), size, &self.weights[stencil.offset..][..size[0] * size[1]])
-    }
-
-    /// Adds a cone's weights times `factor` to a grid `[y][x]`.
-    pub fn add(&self, cone: usize, factor: f64, grid: &mut [f64], [columns, rows]: [usize; 2]) {
-        let ([first_x, first_y], [nx, _], weights) = self.of(cone);
-        for (dy, line) in weights.chunks_exact(nx.max(1)).enumerate() {
-            let row = &mut grid[((first_y + dy) % rows) * columns..][..columns];
-            for (dx, weight) in line.iter().enumerate() {
-                row[(first_x + dx) % columns] += factor * f64::from(*weight);
-            }
-        }
-    }
-
-    /// Integral of one image over a cone's aperture.
-    fn integral(&self, cone: usize, grid: &[f32], [columns, rows]: [usize; 2]) -> f64 {
-        let ([first_x, first_y], [nx, _], weights) = self.of(cone);
-        // Rows are sums of four lanes, so that they are computed four at a time; their order is fixed.
-        let mut lanes = [0.0_f32; LANES];
-        for (dy, line) in weights.chunks_exact(nx.max(1)).enumerate() {
-            let row = &grid[((first_y + dy) % rows) * columns..][..columns];
-            if first_x + nx <= columns {
-                let (line, _) = line.as_chunks::<LANES>();
-                let (row, _) = row[first_x..first_x + nx].as_chunks::<LANES>();
-                for (w, g) in line.iter().zip(row) {
-                    (0..LANES).for_each(|i| lanes[i] += w[i] * g[i]);
-                }
-            } else {
-                for (dx, w) in line.iter().enumerate() {
-                    lanes[dx % LANES] += w * row[(first_x + dx) % columns];
-                }
-            }
-        }
-        lanes.iter().map(|lane| f64::from(*lane)).sum()
-    }
-}
-
-/// Frequencies of the half plane inside the band.
-fn kept_frequencies(scene: &Scene) -> Vec<Frequency> {
-    let [px, py] = scene.period_px.map(|p| p as f64);
-    let band_px = scene.band * scene.tangent_per_px;
-    // The grid cannot tell its highest frequency from its negative.
-    let limit = |p: f64, samples: usize| ((band_px * p) as i32).min(samples as i32 / 2 - 1);
-    let (most_x, most_y) = (limit(px, scene.samples[0]), limit(py, scene.samples[1]));
-    let mut kept = Vec::new();
-    for x in -most_x..=most_x {
-        for y in 0..=most_y {
-            let cycles = DVec2::new(f64::from(x) / px, f64::from(y) / py);
-            if (y > 0 || x >= 0) && cycles.length() <= band_px {
-                kept.push(Frequency { x, y });
-            }
-        }
-    }
-    kept
+        lanes
+    };
+    let by_cone: Vec<Vec<[f64; LANES]>> = cones.cones.par_iter().map(of_cone).collect();
+    let mut coefficients = Vec::with_capacity(by_cone.iter().map(Vec::len).sum());
+    let own = cones.cones.iter().zip(by_cone).map(|(cone, lanes)| {
+        let offset = coefficients.len() as u32;
+        let first = (ranges[cone.cone_type as usize].0 / LANES) as u32;
+        let own = OwnImages { first, end: first + lanes.len() as u32, offset };
+        coefficients.extend(lanes);
+        own
+    });
+    (own.collect(), coefficients)
 }
 
 /// `[primary][frequency]`: transform of the pixel's rectangles, divided by the period's area and by the spreading kernel's.
 fn pixel_transforms(
     scene: &Scene,
     spread: &Spread,
-    frequencies: &[Frequency],
+    band: &Band,
     emitters: &[Emitter],
 ) -> Vec<Vec<Complex64>> {
     let [px, py] = scene.period_px.map(|p| p as f64);
@@ -307,12 +225,12 @@ fn pixel_transforms(
     };
     let (along_x, along_y) = (table(scene.samples[0]), table(scene.samples[1]));
     let transform = |emitter: &Emitter| {
-        let at = |nu: &Frequency| {
-            let cycles = DVec2::new(f64::from(nu.x) / px, f64::from(nu.y) / py);
-            let spreading = along_x[nu.x.unsigned_abs() as usize] * along_y[nu.y.unsigned_abs() as usize];
+        let at = |[x, y]: [i32; 2]| {
+            let cycles = DVec2::new(f64::from(x) / px, f64::from(y) / py);
+            let spreading = along_x[x.unsigned_abs() as usize] * along_y[y.unsigned_abs() as usize];
             pixel_transform(emitter, cycles) / (px * py * spreading)
         };
-        frequencies.iter().map(at).collect()
+        band.iter().map(at).collect()
     };
     emitters.iter().map(transform).collect()
 }
@@ -321,16 +239,16 @@ fn pixel_transforms(
 fn basis_images(
     scene: &Scene,
     kernels: &Kernels,
-    frequencies: &[Frequency],
+    band: &Band,
     cones: &ConeTable,
 ) -> Vec<BasisImage> {
     let shape = kernels.shape();
     let [px, py] = scene.period_px.map(|p| p as f64);
-    let stencils: Vec<_> = frequencies
-        .par_iter()
-        .map(|nu| {
+    let stencils: Vec<_> = band
+        .iter()
+        .map(|[x, y]| {
             // Screen y is up, pixel y is down.
-            let cycles = DVec2::new(f64::from(nu.x) / px, -f64::from(nu.y) / py) / scene.tangent_per_px;
+            let cycles = DVec2::new(f64::from(x) / px, -f64::from(y) / py) / scene.tangent_per_px;
             shape.stencil(cycles)
         })
         .collect();

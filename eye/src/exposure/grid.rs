@@ -1,112 +1,264 @@
 //! Transforms on the periodic grid: the picture's spectrum, and two real images from one complex inverse transform.
+//!
+//! # Cost
+//! Only rows with a picture and columns inside the band are transformed; two rows (two images) share a complex transform.
 
 use rayon::prelude::*;
-use rustfft::num_complex::{Complex, Complex64};
-use rustfft::num_traits::ToPrimitive;
+use rustfft::num_complex::{Complex, Complex32};
 use rustfft::{FftNum, FftPlanner};
 
-/// One kept frequency of the half plane y > 0, or y = 0 and x >= 0.
+/// The precision of a transform.
+pub trait Real: FftNum {
+    /// From double precision.
+    fn narrow(value: f64) -> Self;
+    /// From single precision.
+    fn of(value: f32) -> Self;
+    /// To single precision.
+    fn single(self) -> f32;
+    /// To double precision.
+    fn wide(self) -> f64;
+}
+
+impl Real for f32 {
+    fn narrow(value: f64) -> Self {
+        value as Self
+    }
+    fn of(value: f32) -> Self {
+        value
+    }
+    fn single(self) -> f32 {
+        self
+    }
+    fn wide(self) -> f64 {
+        self.into()
+    }
+}
+
+impl Real for f64 {
+    fn narrow(value: f64) -> Self {
+        value
+    }
+    fn of(value: f32) -> Self {
+        Self::from(value)
+    }
+    fn single(self) -> f32 {
+        self as f32
+    }
+    fn wide(self) -> f64 {
+        self
+    }
+}
+
+/// Kept frequencies (cycles in a period) with a common x: y from `y` on, `len` of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frequency {
-    /// Cycles in a period along x; may be negative.
+pub struct Run {
+    /// Cycles along x; may be negative.
     pub x: i32,
-    /// Cycles in a period along y, not negative.
+    /// First cycles along y, not negative.
     pub y: i32,
+    /// Place of the first among all kept frequencies.
+    pub at: usize,
+    /// Number of frequencies.
+    pub len: usize,
+}
+
+impl Run {
+    /// Places of its frequencies among all kept ones.
+    pub fn range(&self) -> std::ops::Range<usize> {
+        self.at..self.at + self.len
+    }
+}
+
+/// The kept frequencies: of the half plane y > 0, or y = 0 and x >= 0, those inside the band.
+#[derive(Clone, Debug, Default)]
+pub struct Band {
+    /// In the order of x.
+    pub runs: Vec<Run>,
+    /// Number of frequencies.
+    pub len: usize,
+}
+
+impl Band {
+    /// Frequencies below `cycles_per_px` for a period in pixels that is sampled `samples` times.
+    pub fn new(period_px: [usize; 2], samples: [usize; 2], cycles_per_px: f64) -> Self {
+        let [px, py] = period_px.map(|p| p as f64);
+        // The grid cannot tell its highest frequency from its negative.
+        let limit = |p: f64, samples: usize| ((cycles_per_px * p) as i32).min(samples as i32 / 2 - 1);
+        let (most_x, most_y) = (limit(px, samples[0]), limit(py, samples[1]));
+        let mut band = Self::default();
+        for x in -most_x..=most_x {
+            let inside = |y: &i32| (f64::from(x) / px).hypot(f64::from(*y) / py) <= cycles_per_px;
+            let y = i32::from(x < 0);
+            let len = (y..=most_y).take_while(inside).count();
+            if len > 0 {
+                band.runs.push(Run { x, y, at: band.len, len });
+                band.len += len;
+            }
+        }
+        band
+    }
+
+    /// Largest |x| and y.
+    pub fn most(&self) -> [usize; 2] {
+        let x = self.runs.iter().map(|r| r.x.unsigned_abs() as usize).max().unwrap_or(0);
+        let y = self.runs.iter().map(|r| r.y as usize + r.len - 1).max().unwrap_or(0);
+        [x, y]
+    }
+
+    /// Each frequency (x, y).
+    pub fn iter(&self) -> impl Iterator<Item = [i32; 2]> {
+        self.runs.iter().flat_map(|run| (0..run.len as i32).map(move |i| [run.x, run.y + i]))
+    }
 }
 
 /// Spectrum of pixel values `[row][column]` placed at the corner of a period (pixels), at the kept frequencies, sum convention
-/// e^{-2πi}: by a transform of the whole period, or, where pixels are far smaller than what the eye resolves and the period
-/// holds very many of them, by the sums themselves.
-pub fn picture_spectrum(
+/// e^{-2πi}: by transforms, or, where pixels are far smaller than what the eye resolves and the period holds very many of
+/// them, by the sums themselves.
+pub fn picture_spectrum<T: Real>(
     light: &[f64],
     size: [usize; 2],
     period: [usize; 2],
-    frequencies: &[Frequency],
-) -> Vec<Complex64> {
-    let most_x = frequencies.iter().map(|nu| nu.x.unsigned_abs() as usize).max().unwrap_or(0);
-    let most_y = frequencies.iter().map(|nu| nu.y.unsigned_abs() as usize).max().unwrap_or(0);
+    band: &Band,
+) -> Vec<Complex<T>> {
+    let most = band.most();
     let [px, py] = period;
-    let transform = px as f64 * py as f64 * 60.0;
-    let sums = (2 * most_x + 1) as f64 * size[1] as f64 * (size[0] + most_y + 1) as f64 * 4.0;
-    let (table, width) = if transform <= sums {
-        (whole_period(light, size, period), px)
-    } else {
-        (direct_sums(light, size, period, [most_x, most_y]), 2 * most_x + 1)
-    };
-    let wrap = |at: i32, n: usize| at.rem_euclid(n as i32) as usize;
-    let rows = table.len() / width.max(1);
-    frequencies.iter().map(|nu| table[wrap(nu.y, rows) * width + wrap(nu.x, width)]).collect()
-}
-
-/// Spectrum `[y][x]` of one period.
-fn whole_period(light: &[f64], [width, height]: [usize; 2], [px, py]: [usize; 2]) -> Vec<Complex64> {
-    let mut values = vec![Complex64::ZERO; px * py];
-    for row in 0..height {
-        for column in 0..width {
-            // Light beyond the period's end belongs to its start: it is periodic.
-            values[(row % py) * px + column % px] += light[row * width + column];
+    let columns = most[0].min(px / 2) + 1;
+    let transform = |n: usize, lines: usize| 2.5 * (n * lines) as f64 * (n as f64).log2();
+    let transforms = transform(px, size[1].div_ceil(2)) + transform(py, columns);
+    let sums = (2 * most[0] + 1) as f64 * size[1] as f64 * (size[0] + most[1] + 1) as f64 * 8.0;
+    if sums < transforms {
+        return direct_sums(light, size, period, band);
+    }
+    let table = half_spectrum::<T>(light, size, period, columns);
+    let mut spectrum = Vec::with_capacity(band.len);
+    for run in &band.runs {
+        let x = run.x.rem_euclid(px as i32) as usize;
+        let y = run.y as usize;
+        if x < columns {
+            let line = &table[x * py..(x + 1) * py];
+            spectrum.extend((y..y + run.len).map(|y| line[y % py]));
+        } else {
+            // The picture is real: at -ν stands the conjugate.
+            let line = &table[(px - x) * py..(px - x + 1) * py];
+            spectrum.extend((y..y + run.len).map(|y| line[(py - y % py) % py].conj()));
         }
     }
-    let mut planner = FftPlanner::new();
-    planner.plan_fft_forward(px).process(&mut values);
-    let mut columns = transpose(&values, px, py);
-    planner.plan_fft_forward(py).process(&mut columns);
-    transpose(&columns, py, px)
+    spectrum
 }
 
-/// Spectrum `[y][x]` for y = 0 to `most[1]`, x = 0 to `most[0]` and then -`most[0]` to -1.
-fn direct_sums(light: &[f64], size: [usize; 2], period: [usize; 2], most: [usize; 2]) -> Vec<Complex64> {
-    let [width, height] = size;
-    let columns = 2 * most[0] + 1;
-    let signed = |x: usize| if x <= most[0] { x as f64 } else { x as f64 - columns as f64 };
+/// Rows of which this many are transformed before they are put down column by column.
+const ROWS: usize = 8;
+
+/// Spectrum `[x][y]` of one period for x from 0 to `columns` - 1 and all y.
+fn half_spectrum<T: Real>(
+    light: &[f64],
+    [width, height]: [usize; 2],
+    [px, py]: [usize; 2],
+    columns: usize,
+) -> Vec<Complex<T>> {
+    let zero = Complex::new(T::zero(), T::zero());
+    let mut table = vec![zero; columns * py];
+    let mut planner = FftPlanner::<T>::new();
+    let along_x = planner.plan_fft_forward(px);
+    let mut scratch = vec![zero; along_x.get_inplace_scratch_len()];
+    let mut lines = vec![zero; ROWS / 2 * px];
+    let half = T::narrow(0.5);
+    for top in (0..height).step_by(ROWS) {
+        lines.fill(zero);
+        for row in top..(top + ROWS).min(height) {
+            let line = &mut lines[(row - top) / 2 * px..][..px];
+            // Light beyond the period's end belongs to its start: it is periodic.
+            for part in light[row * width..(row + 1) * width].chunks(px) {
+                for (z, value) in line.iter_mut().zip(part) {
+                    let value = T::narrow(*value);
+                    if (row - top).is_multiple_of(2) { z.re = z.re + value } else { z.im = z.im + value }
+                }
+            }
+        }
+        along_x.process_with_scratch(&mut lines, &mut scratch);
+        for x in 0..columns {
+            for (pair, line) in lines.chunks_exact(px).enumerate() {
+                let (a, b) = (line[x], line[(px - x) % px].conj());
+                let (even, odd) = ((a + b) * half, (a - b) * half);
+                // odd/i.
+                for (row, z) in [(top + 2 * pair, even), (top + 2 * pair + 1, Complex::new(odd.im, -odd.re))] {
+                    if row < height {
+                        let slot = &mut table[x * py + row % py];
+                        *slot = *slot + z;
+                    }
+                }
+            }
+        }
+    }
+    planner.plan_fft_forward(py).process(&mut table);
+    table
+}
+
+/// The kept part of the spectrum by sums.
+fn direct_sums<T: Real>(
+    light: &[f64],
+    [width, height]: [usize; 2],
+    period: [usize; 2],
+    band: &Band,
+) -> Vec<Complex<T>> {
     // e^{-2πi ν n / P} for n = 0, 1, …: exact turns, reduced before the sine.
-    let wave = |cycles: f64, n: usize, period: usize| {
-        Complex64::cis(-std::f64::consts::TAU * (cycles * n as f64 / period as f64).fract())
+    let wave = |cycles: i32, n: usize, period: usize| {
+        let turns = (f64::from(cycles) * n as f64 / period as f64).fract();
+        Complex::<f64>::cis(-std::f64::consts::TAU * turns)
     };
-    let by_column: Vec<Vec<Complex64>> = (0..columns)
-        .into_par_iter()
-        .map(|x| {
-            let along: Vec<Complex64> = (0..width).map(|n| wave(signed(x), n, period[0])).collect();
-            let row_sum = |row: &[f64]| row.iter().zip(&along).map(|(v, w)| *v * w).sum::<Complex64>();
-            let sums: Vec<Complex64> = light.chunks_exact(width.max(1)).map(row_sum).collect();
-            let down = |y: usize| (0..height).map(|n| sums[n] * wave(y as f64, n, period[1])).sum();
-            (0..=most[1]).map(down).collect()
-        })
-        .collect();
-    (0..=most[1]).flat_map(|y| by_column.iter().map(move |column| column[y])).collect()
+    let of_run = |run: &Run| -> Vec<Complex<T>> {
+        let along: Vec<Complex<f64>> = (0..width).map(|n| wave(run.x, n, period[0])).collect();
+        let row_sum = |row: &[f64]| row.iter().zip(&along).map(|(v, w)| *v * w).sum::<Complex<f64>>();
+        let sums: Vec<Complex<f64>> = light.chunks_exact(width.max(1)).map(row_sum).collect();
+        let down = |y: i32| (0..height).map(|n| sums[n] * wave(y, n, period[1])).sum::<Complex<f64>>();
+        (0..run.len as i32).map(|i| down(run.y + i)).map(|z| Complex::new(T::narrow(z.re), T::narrow(z.im))).collect()
+    };
+    band.runs.par_iter().map(of_run).collect::<Vec<_>>().concat()
 }
 
-/// Two real images `[y][x]` of `samples` = [columns, rows] from the Fourier coefficients of both at the kept frequencies, computed
-/// in the precision `T`.
-pub fn two_images<T: FftNum + ToPrimitive>(
-    frequencies: &[Frequency],
-    first: &[Complex64],
-    second: &[Complex64],
+/// Kernels `[primary][frequency]` of an image.
+pub type ImageKernels = [Vec<Complex32>];
+
+/// Two real images as one complex one, `[y][x]` of `samples` = [columns, rows]: the sums over primaries of kernels times what is sent
+/// (`drive[primary][frequency]`), transformed back.
+pub fn two_images<T: Real>(
+    band: &Band,
+    [first, second]: [&ImageKernels; 2],
+    drive: &[Vec<Complex<T>>],
     samples: [usize; 2],
-) -> [Vec<f32>; 2] {
+) -> Vec<Complex<T>> {
     let [columns, rows] = samples;
-    let narrow = |z: Complex64| {
-        let part = |x| T::from_f64(x).unwrap_or_else(T::zero);
-        Complex::new(part(z.re), part(z.im))
-    };
+    let zero = Complex::new(T::zero(), T::zero());
     // Laid out [x][y], so that after one transposition the result is [y][x].
-    let mut values = vec![Complex::new(T::zero(), T::zero()); columns * rows];
+    let mut values = vec![zero; columns * rows];
     let mut used = vec![false; columns];
-    let i = Complex64::I;
-    let place = |at: i32, n: usize| at.rem_euclid(n as i32) as usize;
-    for ((nu, a), b) in frequencies.iter().zip(first).zip(second) {
-        let (x, y) = (place(nu.x, columns), place(nu.y, rows));
-        values[x * rows + y] = narrow(a + i * b);
-        used[x] = true;
-        if nu.x != 0 || nu.y != 0 {
-            let (x, y) = (place(-nu.x, columns), place(-nu.y, rows));
-            values[x * rows + y] = narrow(a.conj() + i * b.conj());
-            used[x] = true;
+    let (mut a, mut b) = (vec![zero; rows], vec![zero; rows]);
+    for run in &band.runs {
+        let (a, b) = (&mut a[..run.len], &mut b[..run.len]);
+        sum_of_products(first, drive, run, a);
+        sum_of_products(second, drive, run, b);
+        let plus = run.x.rem_euclid(columns as i32) as usize;
+        let minus = (-run.x).rem_euclid(columns as i32) as usize;
+        (used[plus], used[minus]) = (true, true);
+        // conj(a) + i·conj(b) at -ν, then a + i·b at ν: of the mean only the latter stays.
+        let from = run.y as usize;
+        let line = &mut values[minus * rows..(minus + 1) * rows];
+        let skip = usize::from(from == 0);
+        if skip == 1 {
+            line[0] = Complex::new(a[0].re + b[0].im, b[0].re - a[0].im);
+        }
+        let mirrored = line[rows + 1 - from - run.len..=rows - from - skip].iter_mut().rev();
+        for (z, (a, b)) in mirrored.zip(a[skip..].iter().zip(&b[skip..])) {
+            *z = Complex::new(a.re + b.im, b.re - a.im);
+        }
+        let line = &mut values[plus * rows + from..][..run.len];
+        for (z, (a, b)) in line.iter_mut().zip(a.iter().zip(b.iter())) {
+            *z = Complex::new(a.re - b.im, a.im + b.re);
         }
     }
     let mut planner = FftPlanner::<T>::new();
     let along_y = planner.plan_fft_inverse(rows);
-    let mut scratch = vec![Complex::new(T::zero(), T::zero()); along_y.get_inplace_scratch_len()];
+    let mut scratch = vec![zero; along_y.get_inplace_scratch_len()];
     for (line, used) in values.chunks_mut(rows).zip(used) {
         if used {
             along_y.process_with_scratch(line, &mut scratch);
@@ -114,8 +266,24 @@ pub fn two_images<T: FftNum + ToPrimitive>(
     }
     let mut values = transpose(&values, rows, columns);
     planner.plan_fft_inverse(columns).process(&mut values);
-    let single = |x: T| x.to_f32().unwrap_or_default();
-    [values.iter().map(|z| single(z.re)).collect(), values.iter().map(|z| single(z.im)).collect()]
+    values
+}
+
+/// Σ over primaries of kernel times drive on a run of frequencies.
+fn sum_of_products<T: Real>(
+    kernels: &ImageKernels,
+    drive: &[Vec<Complex<T>>],
+    run: &Run,
+    sums: &mut [Complex<T>],
+) {
+    sums.fill(Complex::new(T::zero(), T::zero()));
+    for (kernel, sent) in kernels.iter().zip(drive) {
+        for ((s, k), d) in sums.iter_mut().zip(&kernel[run.range()]).zip(&sent[run.range()]) {
+            let (re, im) = (T::of(k.re), T::of(k.im));
+            s.re = s.re + re * d.re - im * d.im;
+            s.im = s.im + re * d.im + im * d.re;
+        }
+    }
 }
 
 /// Transposes `[rows][columns]` in blocks that fit the cache.
@@ -124,9 +292,10 @@ fn transpose<Z: Copy>(values: &[Z], columns: usize, rows: usize) -> Vec<Z> {
     let mut out = values.to_vec();
     for top in (0..rows).step_by(BLOCK) {
         for left in (0..columns).step_by(BLOCK) {
-            for row in top..(top + BLOCK).min(rows) {
-                for column in left..(left + BLOCK).min(columns) {
-                    out[column * rows + row] = values[row * columns + column];
+            for column in left..(left + BLOCK).min(columns) {
+                let line = &mut out[column * rows + top..column * rows + (top + BLOCK).min(rows)];
+                for (row, z) in (top..).zip(line) {
+                    *z = values[row * columns + column];
                 }
             }
         }
@@ -137,45 +306,64 @@ fn transpose<Z: Copy>(values: &[Z], columns: usize, rows: usize) -> Vec<Z> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rustfft::num_complex::Complex64;
+    use std::f64::consts::TAU;
 
     #[test]
     fn two_waves_come_back_separately() {
-        let frequencies = [Frequency { x: 0, y: 0 }, Frequency { x: 2, y: 0 }, Frequency { x: -3, y: 1 }];
-        let first = [Complex64::new(1.0, 0.0), Complex64::new(0.25, 0.0), Complex64::ZERO];
-        let second = [Complex64::ZERO, Complex64::ZERO, Complex64::new(0.0, -0.5)];
-        for [a, b] in [
-            two_images::<f64>(&frequencies, &first, &second, [12, 10]),
-            two_images::<f32>(&frequencies, &first, &second, [12, 10]),
-        ] {
-            for y in 0..10 {
-                for x in 0..12 {
-                    let turn = std::f64::consts::TAU;
-                    let (fx, fy) = (f64::from(x) / 12.0, f64::from(y) / 10.0);
-                    let at = (y * 12 + x) as usize;
-                    assert!((f64::from(a[at]) - 1.0 - 0.5 * (turn * 2.0 * fx).cos()).abs() < 1e-6);
-                    assert!((f64::from(b[at]) - (turn * (fy - 3.0 * fx)).sin()).abs() < 1e-6);
-                }
+        let band = Band::new([12, 10], [12, 10], 0.4);
+        let place = |wanted: [i32; 2]| band.iter().position(|nu| nu == wanted).unwrap();
+        let kernel = |waves: &[([i32; 2], Complex32)]| {
+            let mut kernel = vec![Complex32::ZERO; band.len];
+            waves.iter().for_each(|(nu, z)| kernel[place(*nu)] = *z);
+            vec![kernel]
+        };
+        let first = kernel(&[([0, 0], Complex32::ONE), ([2, 0], Complex32::new(0.25, 0.0))]);
+        let second = kernel(&[([-3, 1], Complex32::new(0.0, -0.5))]);
+        let drive64 = vec![vec![Complex64::ONE; band.len]];
+        let drive32 = vec![vec![Complex32::ONE; band.len]];
+        let wide = two_images::<f64>(&band, [&first, &second], &drive64, [12, 10]);
+        let narrow = two_images::<f32>(&band, [&first, &second], &drive32, [12, 10]);
+        for y in 0..10 {
+            for x in 0..12 {
+                let (fx, fy) = (f64::from(x) / 12.0, f64::from(y) / 10.0);
+                let at = (y * 12 + x) as usize;
+                let exact =
+                    Complex64::new(1.0 + 0.5 * (TAU * 2.0 * fx).cos(), (TAU * (fy - 3.0 * fx)).sin());
+                assert!((wide[at] - exact).norm() < 1e-12);
+                assert!((narrow[at].re - exact.re as f32).abs() + (narrow[at].im - exact.im as f32).abs() < 1e-6);
             }
         }
     }
 
+    /// Also where the frequencies go beyond what the pixels can tell apart, and with a picture larger than the period.
     #[test]
-    fn the_spectrum_of_one_pixel_is_a_wave_either_way() {
-        let mut light = vec![0.0; 6];
-        light[5] = 2.0;
-        let frequencies: Vec<Frequency> = (-3..=3)
-            .flat_map(|x| (0..=2).map(move |y| Frequency { x, y }))
-            .filter(|nu| nu.y > 0 || nu.x >= 0)
-            .collect();
-        // A short period is transformed whole, a long one summed.
-        for period in [[8, 6], [2000, 1500]] {
-            let spectrum = picture_spectrum(&light, [3, 2], period, &frequencies);
-            for (nu, at) in frequencies.iter().zip(spectrum) {
-                let turns = f64::from(nu.x) * 2.0 / period[0] as f64 + f64::from(nu.y) / period[1] as f64;
-                assert!(
-                    (at - Complex64::from_polar(2.0, -std::f64::consts::TAU * turns)).norm() < 1e-12,
-                    "{nu:?}"
-                );
+    fn the_spectrum_of_a_picture_is_the_sum_of_its_pixels() {
+        for (size, period, samples, cycles) in [
+            ([3, 2], [8, 6], [40, 40], 1.7),
+            ([5, 7], [9, 15], [8, 8], 0.3),
+            ([30, 3], [8, 6], [16, 16], 0.4),
+            ([3, 2], [2000, 1500], [60, 60], 0.01),
+        ] {
+            let light: Vec<f64> = (0..size[0] * size[1]).map(|i| ((i * 7919) % 13) as f64).collect();
+            let band = Band::new(period, samples, cycles);
+            assert!(band.len > 10);
+            let wide = picture_spectrum::<f64>(&light, size, period, &band);
+            let narrow = picture_spectrum::<f32>(&light, size, period, &band);
+            let sums = direct_sums::<f64>(&light, size, period, &band);
+            for (i, nu) in band.iter().enumerate() {
+                let mut exact = Complex64::ZERO;
+                for (at, value) in light.iter().enumerate() {
+                    let (x, y) = ((at % size[0]) as f64, (at / size[0]) as f64);
+                    let turns =
+                        f64::from(nu[0]) * x / period[0] as f64 + f64::from(nu[1]) * y / period[1] as f64;
+                    exact += Complex64::from_polar(*value, -TAU * turns);
+                }
+                let scale = light.iter().sum::<f64>();
+                assert!((wide[i] - exact).norm() < 1e-12 * scale, "{nu:?}");
+                assert!((sums[i] - exact).norm() < 1e-12 * scale, "{nu:?}");
+                let narrow = Complex64::new(narrow[i].re.into(), narrow[i].im.into());
+                assert!((narrow - exact).norm() < 1e-6 * scale, "{nu:?}");
             }
         }
     }

@@ -4,6 +4,7 @@
 //! light, black and each bit plane are layers of their own (their times differ).
 
 use glam::DVec2;
+#[cfg(test)]
 use rustfft::num_complex::Complex64;
 
 use crate::display::{
@@ -246,12 +247,14 @@ impl Course {
     }
 }
 
-/// Transform of a movement at cycles per pixel (y down), the sum of shares at 0: a pixel at p is seen at p - sight,
+/// The readable form of [`super::drive`]'s tables: transform of a movement at cycles per pixel (y down), the sum of shares at 0: a pixel at p is seen at p - sight,
 /// `Σ share ∫ λ e^{-λx}/(1-e^{-λ}) e^{2πi ν·s(x)} dx`.
+#[cfg(test)]
 pub fn movement(segments: &[Segment], cycles: DVec2) -> Complex64 {
     segments.iter().map(|s| s.share * segment(s, cycles)).sum()
 }
 
+#[cfg(test)]
 fn segment(segment: &Segment, cycles: DVec2) -> Complex64 {
     let [from, to] = segment.sight;
     let decay = segment.decay;
@@ -268,6 +271,7 @@ fn segment(segment: &Segment, cycles: DVec2) -> Complex64 {
 }
 
 /// `(e^z - 1)/z`.
+#[cfg(test)]
 fn mean_exp(z: Complex64) -> Complex64 {
     if z.norm() < 1e-3 {
         return 1.0 + z * (0.5 + z * (1.0 / 6.0 + z / 24.0));

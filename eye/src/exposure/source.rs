@@ -3,7 +3,7 @@
 use glam::DVec2;
 use rustfft::num_complex::Complex64;
 
-use super::light::{Course, Segment, Shown, courses, frame_light, light, movement};
+use super::light::{Course, Segment, Shown, courses, frame_light, light};
 use super::scene::Scene;
 use crate::display::{Display, Emitter};
 use crate::movement::Gaze;
@@ -80,9 +80,9 @@ impl Layer {
         !self.segments.is_empty() && self.light.iter().any(|l| *l > 0.0)
     }
 
-    /// Transform of the movement at cycles per pixel (y down).
-    pub fn movement(&self, cycles: DVec2) -> Complex64 {
-        movement(&self.segments, cycles)
+    /// Whether the line of sight stays where it is at rest.
+    pub fn is_at_rest(&self) -> bool {
+        matches!(self.segments.as_slice(), [one] if one.share.to_bits() == 1.0_f64.to_bits() && one.sight == [DVec2::ZERO; 2])
     }
 }
 
@@ -122,6 +122,7 @@ pub fn sinc(x: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::light::movement;
     use super::*;
 
     /// The transform against a direct sum over the rectangle and the movement.

@@ -9,7 +9,7 @@
 use glam::DVec2;
 
 /// Columns that are summed at a time.
-pub const LANES: usize = 4;
+const COLUMNS: usize = 2;
 
 /// The spreading kernel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +24,7 @@ pub struct Spread {
 pub struct ConeWeights {
     /// First column and row, inside the grid; the stencil wraps around its edges.
     pub first: [u32; 2],
-    /// Columns (a multiple of [`LANES`], the last ones with weights of 0) and rows.
+    /// Columns (a multiple of [`COLUMNS`], the last ones with weights of 0) and rows.
     pub size: [u32; 2],
     /// `[row][column]`.
     pub values: Vec<f32>,
@@ -71,7 +71,7 @@ impl Spread {
         let first = (min - half).ceil();
         let size = ((max + half).floor() - first + 1.0).max(DVec2::ZERO);
         let (used, rows) = (size.x as usize, size.y as usize);
-        let columns = used.next_multiple_of(LANES);
+        let columns = used.next_multiple_of(COLUMNS);
         let mut values = vec![0.0_f64; columns * rows];
         let mut across = vec![0.0; columns];
         for (at, area) in nodes {
