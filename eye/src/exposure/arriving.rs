@@ -6,11 +6,11 @@
 //! in any frame.
 
 use rayon::prelude::*;
-use rustfft::num_complex::{Complex, Complex64};
+use rustfft::num_complex::Complex64;
 
 use super::expected::BasisImage;
 use super::gather::Stencils;
-use super::grid::{Band, Real, picture_spectrum};
+use super::grid::{Band, Planar, Real, picture_spectrum};
 
 /// `[primary][frequency]`: weights by which what the display sends adds to a sum over cones.
 #[derive(Clone, Debug)]
@@ -40,10 +40,7 @@ impl ConeSum {
         let by_primary = (0..primaries).map(|primary| {
             let at = |(i, nu): (usize, [i32; 2])| {
                 let twice = if nu == [0, 0] { 1.0 } else { 2.0 };
-                let kernel = |r: usize| {
-                    let k = images[r].kernels[primary][i];
-                    Complex64::new(f64::from(k.re), f64::from(k.im))
-                };
+                let kernel = |r: usize| images[r].kernels[primary].at(i);
                 twice * (0..images.len()).map(|r| kernel(r) * spectra[r][i].conj()).sum::<Complex64>()
             };
             band.iter().enumerate().map(at).collect()
@@ -52,10 +49,9 @@ impl ConeSum {
     }
 
     /// The sum in a frame of which `drive[primary][frequency]` is sent.
-    pub fn of<T: Real>(&self, drive: &[Vec<Complex<T>>]) -> f64 {
-        let part = |(weights, sent): (&Vec<Complex64>, &Vec<Complex<T>>)| {
-            let term = |(w, s): (&Complex64, &Complex<T>)| w.re * s.re.wide() - w.im * s.im.wide();
-            weights.iter().zip(sent).map(term).sum::<f64>()
+    pub fn of<T: Real>(&self, drive: &[Planar<T>]) -> f64 {
+        let part = |(weights, sent): (&Vec<Complex64>, &Planar<T>)| {
+            weights.iter().enumerate().map(|(i, w)| (w * sent.at(i)).re).sum::<f64>()
         };
         self.0.iter().zip(drive).map(part).sum()
     }

@@ -5,9 +5,10 @@
 
 use std::f64::consts::{PI, TAU};
 
-use rustfft::num_complex::{Complex, Complex64};
+use rayon::prelude::*;
+use rustfft::num_complex::Complex64;
 
-use super::grid::{Band, Real, Run, picture_spectrum};
+use super::grid::{Band, Planar, Real, Run, picture_spectrum};
 use super::light::Segment;
 use super::scene::Scene;
 use super::source::{Layer, Source};
@@ -18,7 +19,7 @@ pub fn drive<T: Real>(
     pixels: &[Vec<Complex64>],
     scene: &Scene,
     band: &Band,
-) -> Vec<Vec<Complex<T>>> {
+) -> Vec<Planar<T>> {
     let size = scene.size_px.map(|s| s as usize);
     // Primaries that shine at the same time share their movement.
     let mut moved: Vec<(&[Segment], Vec<Complex64>)> = Vec::new();
@@ -27,21 +28,21 @@ pub fn drive<T: Real>(
             moved.push((&layer.segments, movement(&layer.segments, scene, band)));
         }
     }
-    let add = |layer: &Layer, pixel: &[Complex64], sent: &mut [Complex<T>]| {
+    let add = |layer: &Layer, pixel: &[Complex64], sent: &mut Planar<T>| {
         let light = picture_spectrum::<T>(&layer.light, size, scene.period_px, band);
         let movement = moved.iter().find(|(segments, _)| *segments == layer.segments);
-        for (i, (sum, light)) in sent.iter_mut().zip(light).enumerate() {
+        for (i, light) in light.into_iter().enumerate() {
             let factor = movement.map_or(pixel[i], |(_, movement)| pixel[i] * movement[i]);
-            let factor = Complex::new(T::narrow(factor.re), T::narrow(factor.im));
-            *sum = *sum + light * factor;
+            let (re, im) = (T::narrow(factor.re), T::narrow(factor.im));
+            sent.re[i] = sent.re[i] + (light.re * re - light.im * im);
+            sent.im[i] = sent.im[i] + (light.re * im + light.im * re);
         }
     };
     let of_primary = |(primary, pixel): (&super::source::SourcePrimary, &Vec<Complex64>)| {
-        let mut sent = vec![Complex::new(T::zero(), T::zero()); band.len];
+        let mut sent = Planar::zeros(band.len);
         primary.layers.iter().for_each(|layer| add(layer, pixel, &mut sent));
         sent
     };
-    use rayon::prelude::*;
     source.primaries.par_iter().zip(pixels).map(of_primary).collect()
 }
 

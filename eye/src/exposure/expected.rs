@@ -12,13 +12,13 @@
 
 use glam::DVec2;
 use rayon::prelude::*;
-use rustfft::num_complex::{Complex, Complex32, Complex64};
+use rustfft::num_complex::Complex64;
 
 use super::arriving::ConeSum;
 use super::cones::{ConeTable, MappedCone};
 use super::drive::drive;
 use super::gather::{LANES, Sheet, Stencils};
-use super::grid::{Band, Real, two_images};
+use super::grid::{Band, Planar, Real, two_images};
 use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::scene::Scene;
@@ -43,8 +43,8 @@ impl Settings {
     /// Settings for an accuracy target.
     pub fn for_target(target: f64) -> Self {
         let spread_width = match target {
-            t if t >= 0.005 => 6,
-            t if t >= 5e-4 => 8,
+            t if t >= 5e-4 => 6,
+            t if t >= 5e-5 => 8,
             _ => 10,
         };
         Self { spread_width, single: target >= 5e-4 }
@@ -68,7 +68,7 @@ pub struct Means {
 pub struct BasisImage {
     kind: usize,
     /// `[primary][frequency]`.
-    pub kernels: Vec<Vec<Complex32>>,
+    pub kernels: Vec<Planar<f32>>,
 }
 
 /// A prepared scene.
@@ -110,7 +110,11 @@ impl Expected {
         let stencils = Stencils::new(&scene, &spread, cones);
         let received: Vec<Vec<f64>> = (cones.cones.par_iter())
             .map(|c| {
-                kernels.coefficients(ARRIVING, c.um, c.ecc_deg).into_iter().map(|own| own * c.geometry).collect()
+                kernels
+                    .coefficients(ARRIVING, c.um, c.ecc_deg)
+                    .into_iter()
+                    .map(|own| own * c.geometry)
+                    .collect()
             })
             .collect();
         let sum = |weight: &dyn Fn(&MappedCone) -> f64| {
@@ -139,7 +143,7 @@ impl Expected {
     }
 
     fn frame_in<T: Real>(&self, source: &Source) -> Means {
-        let drive: Vec<Vec<Complex<T>>> = drive(source, &self.pixels, &self.scene, &self.band);
+        let drive: Vec<Planar<T>> = drive(source, &self.pixels, &self.scene, &self.band);
         let samples = self.scene.samples;
         let pair = |images: &[BasisImage]| {
             let last = images.len() - 1;
@@ -236,12 +240,7 @@ fn pixel_transforms(
 }
 
 /// Every basis kernel on the kept frequencies; kinds without cones are left out.
-fn basis_images(
-    scene: &Scene,
-    kernels: &Kernels,
-    band: &Band,
-    cones: &ConeTable,
-) -> Vec<BasisImage> {
+fn basis_images(scene: &Scene, kernels: &Kernels, band: &Band, cones: &ConeTable) -> Vec<BasisImage> {
     let shape = kernels.shape();
     let [px, py] = scene.period_px.map(|p| p as f64);
     let stencils: Vec<_> = band
@@ -263,7 +262,7 @@ fn basis_images(
                 .map(|primary| {
                     let table = kernels.table(kind, r, primary);
                     let value = |s: &Option<_>| s.as_ref().map_or(Complex64::ZERO, |s| shape.read(table, s));
-                    stencils.iter().map(value).map(|z| Complex32::new(z.re as f32, z.im as f32)).collect()
+                    Planar::new(stencils.iter().map(value))
                 })
                 .collect();
             BasisImage { kind, kernels }

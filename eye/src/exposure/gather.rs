@@ -89,9 +89,10 @@ impl Stencils {
             let from = values.len();
             let a = first[line.clone()].iter();
             match second {
-                Some(second) => values.extend(a.zip(&second[line]).map(|(a, b)| {
-                    [a.re.single(), a.im.single(), b.re.single(), b.im.single()]
-                })),
+                Some(second) => values.extend(
+                    a.zip(&second[line])
+                        .map(|(a, b)| [a.re.single(), a.im.single(), b.re.single(), b.im.single()]),
+                ),
                 None => values.extend(a.map(|a| [a.re.single(), a.im.single(), 0.0, 0.0])),
             }
             for column in 0..self.most[0] {

@@ -4,7 +4,7 @@
 //! Only rows with a picture and columns inside the band are transformed; two rows (two images) share a complex transform.
 
 use rayon::prelude::*;
-use rustfft::num_complex::{Complex, Complex32};
+use rustfft::num_complex::Complex;
 use rustfft::{FftNum, FftPlanner};
 
 /// The precision of a transform.
@@ -181,7 +181,8 @@ fn half_spectrum<T: Real>(
                 let (a, b) = (line[x], line[(px - x) % px].conj());
                 let (even, odd) = ((a + b) * half, (a - b) * half);
                 // odd/i.
-                for (row, z) in [(top + 2 * pair, even), (top + 2 * pair + 1, Complex::new(odd.im, -odd.re))] {
+                for (row, z) in [(top + 2 * pair, even), (top + 2 * pair + 1, Complex::new(odd.im, -odd.re))]
+                {
                     if row < height {
                         let slot = &mut table[x * py + row % py];
                         *slot = *slot + z;
@@ -211,20 +212,47 @@ fn direct_sums<T: Real>(
         let row_sum = |row: &[f64]| row.iter().zip(&along).map(|(v, w)| *v * w).sum::<Complex<f64>>();
         let sums: Vec<Complex<f64>> = light.chunks_exact(width.max(1)).map(row_sum).collect();
         let down = |y: i32| (0..height).map(|n| sums[n] * wave(y, n, period[1])).sum::<Complex<f64>>();
-        (0..run.len as i32).map(|i| down(run.y + i)).map(|z| Complex::new(T::narrow(z.re), T::narrow(z.im))).collect()
+        (0..run.len as i32)
+            .map(|i| down(run.y + i))
+            .map(|z| Complex::new(T::narrow(z.re), T::narrow(z.im)))
+            .collect()
     };
     band.runs.par_iter().map(of_run).collect::<Vec<_>>().concat()
 }
 
-/// Kernels `[primary][frequency]` of an image.
-pub type ImageKernels = [Vec<Complex32>];
+/// Complex numbers, real and imaginary parts apart: sums of products run in vector code then.
+#[derive(Clone, Debug, Default)]
+pub struct Planar<T> {
+    /// Real parts.
+    pub re: Vec<T>,
+    /// Imaginary parts.
+    pub im: Vec<T>,
+}
+
+impl<T: Real> Planar<T> {
+    /// Zeros.
+    pub fn zeros(len: usize) -> Self {
+        Self { re: vec![T::zero(); len], im: vec![T::zero(); len] }
+    }
+
+    /// From numbers.
+    pub fn new(values: impl Iterator<Item = Complex<f64>>) -> Self {
+        let (re, im) = values.map(|z| (T::narrow(z.re), T::narrow(z.im))).unzip();
+        Self { re, im }
+    }
+
+    /// A number in double precision.
+    pub fn at(&self, i: usize) -> Complex<f64> {
+        Complex::new(self.re[i].wide(), self.im[i].wide())
+    }
+}
 
 /// Two real images as one complex one, `[y][x]` of `samples` = [columns, rows]: the sums over primaries of kernels times what is sent
 /// (`drive[primary][frequency]`), transformed back.
 pub fn two_images<T: Real>(
     band: &Band,
-    [first, second]: [&ImageKernels; 2],
-    drive: &[Vec<Complex<T>>],
+    [first, second]: [&[Planar<f32>]; 2],
+    drive: &[Planar<T>],
     samples: [usize; 2],
 ) -> Vec<Complex<T>> {
     let [columns, rows] = samples;
@@ -232,11 +260,15 @@ pub fn two_images<T: Real>(
     // Laid out [x][y], so that after one transposition the result is [y][x].
     let mut values = vec![zero; columns * rows];
     let mut used = vec![false; columns];
-    let (mut a, mut b) = (vec![zero; rows], vec![zero; rows]);
+    let (mut a, mut b) = (Planar::<T>::zeros(rows), Planar::<T>::zeros(rows));
     for run in &band.runs {
-        let (a, b) = (&mut a[..run.len], &mut b[..run.len]);
-        sum_of_products(first, drive, run, a);
-        sum_of_products(second, drive, run, b);
+        sum_of_products(first, drive, run, &mut a);
+        sum_of_products(second, drive, run, &mut b);
+        let parts = |from: usize| {
+            let (a_re, a_im) = (&a.re[from..run.len], &a.im[from..run.len]);
+            let (b_re, b_im) = (&b.re[from..run.len], &b.im[from..run.len]);
+            a_re.iter().zip(a_im).zip(b_re.iter().zip(b_im)).map(|((ar, ai), (br, bi))| (*ar, *ai, *br, *bi))
+        };
         let plus = run.x.rem_euclid(columns as i32) as usize;
         let minus = (-run.x).rem_euclid(columns as i32) as usize;
         (used[plus], used[minus]) = (true, true);
@@ -245,15 +277,15 @@ pub fn two_images<T: Real>(
         let line = &mut values[minus * rows..(minus + 1) * rows];
         let skip = usize::from(from == 0);
         if skip == 1 {
-            line[0] = Complex::new(a[0].re + b[0].im, b[0].re - a[0].im);
+            line[0] = Complex::new(a.re[0] + b.im[0], b.re[0] - a.im[0]);
         }
         let mirrored = line[rows + 1 - from - run.len..=rows - from - skip].iter_mut().rev();
-        for (z, (a, b)) in mirrored.zip(a[skip..].iter().zip(&b[skip..])) {
-            *z = Complex::new(a.re + b.im, b.re - a.im);
+        for (z, (a_re, a_im, b_re, b_im)) in mirrored.zip(parts(skip)) {
+            *z = Complex::new(a_re + b_im, b_re - a_im);
         }
         let line = &mut values[plus * rows + from..][..run.len];
-        for (z, (a, b)) in line.iter_mut().zip(a.iter().zip(b.iter())) {
-            *z = Complex::new(a.re - b.im, a.im + b.re);
+        for (z, (a_re, a_im, b_re, b_im)) in line.iter_mut().zip(parts(0)) {
+            *z = Complex::new(a_re - b_im, a_im + b_re);
         }
     }
     let mut planner = FftPlanner::<T>::new();
@@ -269,19 +301,18 @@ pub fn two_images<T: Real>(
     values
 }
 
-/// Σ over primaries of kernel times drive on a run of frequencies.
-fn sum_of_products<T: Real>(
-    kernels: &ImageKernels,
-    drive: &[Vec<Complex<T>>],
-    run: &Run,
-    sums: &mut [Complex<T>],
-) {
-    sums.fill(Complex::new(T::zero(), T::zero()));
+/// Σ over primaries of kernel times drive on a run of frequencies, in the first places of `sums`.
+fn sum_of_products<T: Real>(kernels: &[Planar<f32>], drive: &[Planar<T>], run: &Run, sums: &mut Planar<T>) {
+    let (re, im) = (&mut sums.re[..run.len], &mut sums.im[..run.len]);
+    re.fill(T::zero());
+    im.fill(T::zero());
     for (kernel, sent) in kernels.iter().zip(drive) {
-        for ((s, k), d) in sums.iter_mut().zip(&kernel[run.range()]).zip(&sent[run.range()]) {
-            let (re, im) = (T::of(k.re), T::of(k.im));
-            s.re = s.re + re * d.re - im * d.im;
-            s.im = s.im + re * d.im + im * d.re;
+        let (k_re, k_im) = (&kernel.re[run.range()], &kernel.im[run.range()]);
+        let (d_re, d_im) = (&sent.re[run.range()], &sent.im[run.range()]);
+        for i in 0..run.len {
+            let (kr, ki) = (T::of(k_re[i]), T::of(k_im[i]));
+            re[i] = re[i] + (kr * d_re[i] - ki * d_im[i]);
+            im[i] = im[i] + (kr * d_im[i] + ki * d_re[i]);
         }
     }
 }
@@ -313,25 +344,26 @@ mod tests {
     fn two_waves_come_back_separately() {
         let band = Band::new([12, 10], [12, 10], 0.4);
         let place = |wanted: [i32; 2]| band.iter().position(|nu| nu == wanted).unwrap();
-        let kernel = |waves: &[([i32; 2], Complex32)]| {
-            let mut kernel = vec![Complex32::ZERO; band.len];
+        let kernel = |waves: &[([i32; 2], Complex64)]| {
+            let mut kernel = vec![Complex64::ZERO; band.len];
             waves.iter().for_each(|(nu, z)| kernel[place(*nu)] = *z);
-            vec![kernel]
+            [Planar::<f32>::new(kernel.into_iter())]
         };
-        let first = kernel(&[([0, 0], Complex32::ONE), ([2, 0], Complex32::new(0.25, 0.0))]);
-        let second = kernel(&[([-3, 1], Complex32::new(0.0, -0.5))]);
-        let drive64 = vec![vec![Complex64::ONE; band.len]];
-        let drive32 = vec![vec![Complex32::ONE; band.len]];
+        let first = kernel(&[([0, 0], Complex64::ONE), ([2, 0], Complex64::new(0.25, 0.0))]);
+        let second = kernel(&[([-3, 1], Complex64::new(0.0, -0.5))]);
+        let ones = || vec![Complex64::ONE; band.len].into_iter();
+        let (drive64, drive32) = ([Planar::new(ones())], [Planar::new(ones())]);
         let wide = two_images::<f64>(&band, [&first, &second], &drive64, [12, 10]);
         let narrow = two_images::<f32>(&band, [&first, &second], &drive32, [12, 10]);
         for y in 0..10 {
             for x in 0..12 {
                 let (fx, fy) = (f64::from(x) / 12.0, f64::from(y) / 10.0);
                 let at = (y * 12 + x) as usize;
-                let exact =
-                    Complex64::new(1.0 + 0.5 * (TAU * 2.0 * fx).cos(), (TAU * (fy - 3.0 * fx)).sin());
+                let exact = Complex64::new(1.0 + 0.5 * (TAU * 2.0 * fx).cos(), (TAU * (fy - 3.0 * fx)).sin());
                 assert!((wide[at] - exact).norm() < 1e-12);
-                assert!((narrow[at].re - exact.re as f32).abs() + (narrow[at].im - exact.im as f32).abs() < 1e-6);
+                assert!(
+                    (narrow[at].re - exact.re as f32).abs() + (narrow[at].im - exact.im as f32).abs() < 1e-6
+                );
             }
         }
     }

@@ -228,6 +228,7 @@ impl KernelSpec {
         shape: PolarShape,
     ) -> Result<Vec<Vec<Vec<Complex64>>>, String> {
         let absorbers = self.absorbers()?;
+        let kinks_nm = self.prescription.kinks_nm(self.state.dispersion);
         let shares = self.shares();
         let eccentricities = self.ecc_values();
         let waves = self.nodes_nm.len();
@@ -241,7 +242,8 @@ impl KernelSpec {
             .map(|&(kind, f, ecc)| {
                 let mut kernel = Vec::with_capacity(shares.len() * shape.len());
                 for primary in &shares {
-                    let weights = absorbers.weights(primary, &self.nodes_nm, KINDS[kind], ecc, paths);
+                    let nodes = (self.nodes_nm.as_slice(), kinks_nm.as_slice());
+                    let weights = absorbers.smooth_weights(primary, nodes, KINDS[kind], ecc, paths);
                     let mut sum = vec![Complex64::ZERO; shape.len()];
                     for (weight, table) in weights.iter().zip(&transfers[f * waves..(f + 1) * waves]) {
                         sum.iter_mut().zip(*table).for_each(|(s, t)| *s += *weight * t);

@@ -27,7 +27,7 @@ mod source;
 pub mod spectral;
 mod spread;
 pub mod stray;
-mod transfer;
+pub(crate) mod transfer;
 
 use glam::DVec2;
 use rayon::prelude::*;

@@ -2,8 +2,9 @@
 //!
 //! For primary k, wavelength node m, kind T and eccentricity e:
 //! `w = Σ_i share_k(λ_i) hat_m(λ_i) τ_cornea(λ_i) τ_lens(λ_i) τ_macula(λ_i, e) q_T(λ_i, e)` over the samples of the spectrum,
-//! with `q = J·2/3` for L, M, S and 1 for [`Kind::Arriving`]. hat_m is the linear interpolation between nodes, so only the
-//! optical transfer is interpolated in wavelength, never the spectra.
+//! with `q = J·2/3` for L, M, S and 1 for [`Kind::Arriving`]. hat_m interpolates between nodes, so only the optical transfer is
+//! interpolated in wavelength, never the spectra: linearly where weights are probabilities ([`Absorbers::weights`]), by the
+//! polynomial through up to six nodes around where they are coefficients ([`Absorbers::smooth_weights`]).
 
 use serde::{Deserialize, Serialize};
 
@@ -79,14 +80,66 @@ impl Absorbers {
         let mut weights = vec![0.0; nodes_nm.len()];
         for &(nm, share) in shares {
             let caught = share * self.caught_at(kind, nm, ecc_deg, paths);
-            let above = nodes_nm.partition_point(|&node| node < nm).min(nodes_nm.len() - 1);
-            let below = above.saturating_sub(1);
-            let span = nodes_nm[above] - nodes_nm[below];
-            let t = if span > 0.0 { ((nm - nodes_nm[below]) / span).clamp(0.0, 1.0) } else { 1.0 };
-            weights[below] += (1.0 - t) * caught;
-            weights[above] += t * caught;
+            linear(nodes_nm, nm, |node, weight| weights[node] += weight * caught);
         }
         weights
+    }
+
+    /// As [`Absorbers::weights`] for a transfer that is smooth between nodes but for kinks at `kinks_nm`; a weight may be negative.
+    pub fn smooth_weights(
+        &self,
+        shares: &[Share],
+        (nodes_nm, kinks_nm): (&[f64], &[f64]),
+        kind: Kind,
+        ecc_deg: f64,
+        paths: Paths,
+    ) -> Vec<f64> {
+        let mut weights = vec![0.0; nodes_nm.len()];
+        for &(nm, share) in shares {
+            let caught = share * self.caught_at(kind, nm, ecc_deg, paths);
+            smooth(nodes_nm, kinks_nm, nm, |node, weight| weights[node] += weight * caught);
+        }
+        weights
+    }
+}
+
+/// Nodes of the interpolating polynomial.
+const POINTS: usize = 6;
+/// A node farther away than so many times the interval around a wavelength says little about it.
+const REACH: f64 = 5.0;
+
+/// Weights of linear interpolation at a wavelength; the end's value beyond the ends.
+fn linear(nodes_nm: &[f64], nm: f64, mut put: impl FnMut(usize, f64)) {
+    let above = nodes_nm.partition_point(|&node| node < nm).min(nodes_nm.len() - 1);
+    let below = above.saturating_sub(1);
+    let span = nodes_nm[above] - nodes_nm[below];
+    let t = if span > 0.0 { ((nm - nodes_nm[below]) / span).clamp(0.0, 1.0) } else { 1.0 };
+    put(below, 1.0 - t);
+    put(above, t);
+}
+
+/// Weights of the polynomial through the nodes around a wavelength, three on either side where there are; none beyond a kink.
+fn smooth(nodes_nm: &[f64], kinks_nm: &[f64], nm: f64, mut put: impl FnMut(usize, f64)) {
+    let above = nodes_nm.partition_point(|&node| node < nm).min(nodes_nm.len() - 1);
+    let below = above.saturating_sub(1);
+    let (from, to) = (nodes_nm[below], nodes_nm[above]);
+    let kinked = kinks_nm.iter().any(|kink| *kink > from && *kink < to);
+    if nm <= from || nm >= to || kinked {
+        return linear(nodes_nm, nm, put);
+    }
+    let joins = |node: f64| {
+        let (a, b) = (node.min(from), node.max(to));
+        (node - nm).abs() <= REACH * (to - from) && kinks_nm.iter().all(|kink| *kink <= a || *kink >= b)
+    };
+    let usable = |i: &usize| joins(nodes_nm[*i]);
+    let first = (0..below).rev().take(POINTS - 2).take_while(usable).last().unwrap_or(below);
+    let last = (above + 1..nodes_nm.len()).take(POINTS - 2).take_while(usable).last().unwrap_or(above);
+    // Of those the six nearest, as even on both sides as can be.
+    let start = (above.saturating_sub(POINTS / 2)).min((last + 1).saturating_sub(POINTS)).max(first);
+    let end = (start + POINTS).min(last + 1);
+    for i in start..end {
+        let others = (start..end).filter(|&j| j != i);
+        put(i, others.map(|j| (nm - nodes_nm[j]) / (nodes_nm[i] - nodes_nm[j])).product());
     }
 }
 
@@ -134,6 +187,32 @@ mod tests {
             let direct: f64 =
                 shares.iter().map(|&(nm, s)| s * absorbers.caught_at(kind, nm, 0.3, paths)).sum();
             assert!((weights.iter().sum::<f64>() / direct - 1.0).abs() < 1e-12);
+            let smooth = absorbers.smooth_weights(&shares, (&nodes, &[555.0]), kind, 0.3, paths);
+            assert!((smooth.iter().sum::<f64>() / direct - 1.0).abs() < 1e-12);
         }
+    }
+
+    /// Polynomials of degree 5 are exact, also at the ends, and on either side of a kink; across it and over gaps lower degrees.
+    #[test]
+    fn smooth_weights_interpolate() {
+        let nodes: Vec<f64> = (0..20).map(|i| 400.0 + 10.0 * f64::from(i)).collect();
+        let kinked = |nm: f64| if nm < 500.0 { (nm / 100.0).powi(5) } else { 3000.0 - nm };
+        let made = |nodes: &[f64], kinks: &[f64], f: &dyn Fn(f64) -> f64, nm: f64| {
+            let mut sum = 0.0;
+            smooth(nodes, kinks, nm, |i, w| sum += w * f(nodes[i]));
+            sum
+        };
+        for nm in [400.0, 401.0, 433.3, 495.0, 499.0, 500.0, 502.0, 586.0, 590.0] {
+            let error = made(&nodes, &[500.0], &kinked, nm) / kinked(nm) - 1.0;
+            assert!(error.abs() < 1e-12, "{nm}: {error}");
+        }
+        // A kink between nodes: linear there.
+        let straight = |nm: f64| 2.0 * nm;
+        assert!((made(&nodes, &[505.0], &straight, 503.0) - 1006.0).abs() < 1e-9);
+        // Far nodes are not asked.
+        let apart = [400.0, 410.0, 420.0, 600.0, 610.0];
+        assert!((made(&apart, &[], &|nm| nm * nm, 403.0) / 403.0_f64.powi(2) - 1.0).abs() < 1e-12);
+        assert!((made(&apart, &[], &straight, 604.0) - 1208.0).abs() < 1e-9);
+        assert!((made(&[543.0], &[], &straight, 543.0) - 1086.0).abs() < 1e-9);
     }
 }

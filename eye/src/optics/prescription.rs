@@ -132,6 +132,13 @@ pub struct Prescription {
 }
 
 impl Prescription {
+    /// Wavelengths at which the indices have kinks under a dispersion law, nm.
+    pub fn kinks_nm(&self, dispersion: Dispersion) -> Vec<f64> {
+        let table = self.polyline.as_ref().filter(|_| dispersion == Dispersion::Polyline);
+        let inner = table.and_then(|table| table.wavelength_nm.get(1..table.wavelength_nm.len().max(2) - 1));
+        inner.map(<[f64]>::to_vec).unwrap_or_default()
+    }
+
     /// The built-in eye of this name.
     ///
     /// # Errors

@@ -2,31 +2,39 @@
 //!
 //! A cone's mean holds a picture's frequency ν times pixel(ν) · optics(ν) · aperture(ν). With a picture of equal strength at all
 //! frequencies (random pixels) what is lost above B, relative to what there is, is at most
-//! `E(B)² = ∫_B |pixel·optics·aperture|² ν dν / ∫_0 (the same)`. The optics are those of a perfect lens with the pupil's diameter
-//! at [`LONG_NM`], the aperture is that of the densest cones of the patch, a pixel is a square as wide as its smallest rectangle.
+//! `E(B)² = ∫_B |pixel·optics·aperture|² ν dν / ∫_0 (the same)`. The optics are the largest modulus of transfer over a few wavelengths
+//! and directions at the middle of the patch, traced; the aperture is that of the densest cones of the patch, a pixel is a square as
+//! wide as its smallest rectangle.
 
 use std::f64::consts::{FRAC_PI_4, PI};
 
 use glam::DVec2;
+use rayon::prelude::*;
 
+use super::PlanError;
 use super::setup::{Setup, UM_PER_TANGENT, cutoff};
+use crate::display::photon_shares;
 use crate::experiment::Experiment;
+use crate::exposure::transfer::{FieldPoint, wavefronts};
+use crate::psf::Otf;
 use crate::retina::{Density, RegionUm};
 
-/// Wavelength at which the perfect lens passes no less than a real eye at those that cones catch best, nm.
-const LONG_NM: f64 = 500.0;
-/// E(B) per accuracy target.
-const LOSS: f64 = 0.3;
-/// Steps of the integral.
+/// Parts of a display's light up to the wavelengths that are traced.
+const QUANTILES: [f64; 3] = [0.3, 0.55, 0.8];
+/// Directions over half a turn.
+const DIRECTIONS: u32 = 3;
+/// Frequencies at which the transfer is computed, and steps of the integral.
+const POINTS: usize = 40;
 const STEPS: u32 = 400;
 
+/// E(B) per accuracy target.
+const LOSS: f64 = 0.3;
+
 /// Highest frequency kept for a patch, cycles per unit tangent: the eye's own, or where E(B) is small against the accuracy target.
-pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> f64 {
-    let target = experiment.accuracy_target;
-    let cutoff = cutoff(experiment);
-    if target < 5e-4 {
-        return cutoff;
-    }
+///
+/// # Errors
+/// When the middle of the patch sees no screen or cannot be traced.
+pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> Result<f64, PlanError> {
     let density = Density::new(&setup.retina);
     let nearest = DVec2::ZERO.clamp(region.min, region.max);
     // Not nearer than half a degree: of the foveal peak only few cones are made.
@@ -36,13 +44,13 @@ pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> f64 {
     let pixel = display.primaries.iter().flat_map(|p| &p.rects).map(side).fold(1.0, f64::min);
     let pixel = pixel * display.pixel_pitch_cm / display.distance_cm;
     let aperture = (aperture_um2 / FRAC_PI_4).sqrt() / UM_PER_TANGENT;
-    let lens = experiment.eye.pupil_mm * 1e6 / LONG_NM;
-    // An aberrated pupil passes far less than the perfect one: limits for small pixels.
-    let most = cutoff.min(if target >= 0.005 { 90.0 } else { 130.0 } * 180.0 / PI);
+    let most = cutoff(experiment);
+    let modulus = modulus(experiment, setup, region, most).map_err(PlanError::Model)?;
     let part = |i: u32| {
-        let nu = most * (f64::from(i) + 0.5) / f64::from(STEPS);
+        let x = (f64::from(i) + 0.5) / f64::from(STEPS);
+        let nu = most * x;
         // The mean over directions of the square's transform squared is near that of a disc of the same area.
-        let value = disc(nu * pixel / FRAC_PI_4.sqrt()) * disc(nu * aperture) * transfer(nu / lens);
+        let value = disc(nu * pixel / FRAC_PI_4.sqrt()) * disc(nu * aperture) * interpolate(&modulus, x);
         value * value * nu
     };
     let parts: Vec<f64> = (0..STEPS).map(part).collect();
@@ -51,12 +59,58 @@ pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> f64 {
     let mut kept = STEPS;
     while kept > 1 {
         lost += parts[kept as usize - 1];
-        if lost > (LOSS * target).powi(2) * total {
+        if lost > (LOSS * experiment.accuracy_target).powi(2) * total {
             break;
         }
         kept -= 1;
     }
-    (most * f64::from(kept) / f64::from(STEPS)).min(cutoff)
+    Ok(most * f64::from(kept) / f64::from(STEPS))
+}
+
+/// Largest modulus of transfer at equal steps from 0 to `most`.
+fn modulus(experiment: &Experiment, setup: &Setup, region: &RegionUm, most: f64) -> Result<Vec<f64>, String> {
+    let point = FieldPoint::new(&setup.projection, 0.5 * (region.min + region.max))?;
+    let rho = experiment.eye.stiles_crawford_rho10_per_mm2;
+    let waves = wavefronts(&setup.projection, &point, &bright_nm(experiment), rho)?;
+    let step = most / (POINTS - 1) as f64;
+    let jobs: Vec<(usize, u32)> =
+        (0..waves.len()).flat_map(|wave| (0..DIRECTIONS).map(move |d| (wave, d))).collect();
+    let curves: Vec<Vec<f64>> = jobs
+        .par_iter()
+        .map(|&(wave, d)| {
+            let unit = point.frequency_map * DVec2::from_angle(PI * f64::from(d) / f64::from(DIRECTIONS));
+            let nus: Vec<f64> = (0..POINTS).map(|i| step * i as f64 * unit.length()).collect();
+            let values = Otf::new(&waves[wave]).radial(unit.y.atan2(unit.x), &nus);
+            values.iter().map(|z| z.norm()).collect()
+        })
+        .collect();
+    let largest = |i: usize| curves.iter().map(|curve| curve[i]).fold(0.0, f64::max);
+    Ok((0..POINTS).map(largest).collect())
+}
+
+/// A few wavelengths of the display's light.
+fn bright_nm(experiment: &Experiment) -> Vec<f64> {
+    let spectra: Vec<_> = experiment.display.primaries.iter().map(|p| p.spectrum.clone()).collect();
+    let mut light: Vec<(f64, f64)> = photon_shares(&spectra).concat();
+    light.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let total: f64 = light.iter().map(|l| l.1).sum();
+    let mut nodes: Vec<f64> = Vec::new();
+    let mut sum = 0.0;
+    for (nm, share) in light {
+        sum += share;
+        while QUANTILES.get(nodes.len()).is_some_and(|part| sum >= part * total) {
+            nodes.push(nm);
+        }
+    }
+    nodes.dedup();
+    nodes
+}
+
+/// Linear interpolation between values at equal steps over [0, 1].
+fn interpolate(values: &[f64], x: f64) -> f64 {
+    let at = x * (values.len() - 1) as f64;
+    let below = (at as usize).min(values.len() - 2);
+    values[below] + (values[below + 1] - values[below]) * (at - below as f64)
 }
 
 /// Transform of a disc of diameter 1 at ν = `x`, 1 at 0; beyond its first zero its envelope.
@@ -70,21 +124,15 @@ fn disc(x: f64) -> f64 {
     1.0 + q / 2.0 * (1.0 + q / 6.0 * (1.0 + q / 12.0 * (1.0 + q / 20.0 * (1.0 + q / 30.0))))
 }
 
-/// Transfer of a perfect lens at a part of its cutoff.
-fn transfer(x: f64) -> f64 {
-    if x >= 1.0 { 0.0 } else { 2.0 / PI * (x.acos() - x * (1.0 - x * x).sqrt()) }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{disc, transfer};
+    use super::disc;
 
     #[test]
-    fn transforms_begin_at_one_and_fall() {
-        assert!((disc(0.0) - 1.0).abs() < 1e-12 && (transfer(0.0) - 1.0).abs() < 1e-12);
+    fn the_transform_of_a_disc() {
+        assert!((disc(0.0) - 1.0).abs() < 1e-12);
         // 2 J1(z)/z at z = 1 and 2.
         assert!((disc(1.0 / std::f64::consts::PI) - 0.880_101_17).abs() < 1e-6);
         assert!((disc(2.0 / std::f64::consts::PI) - 0.576_724_81).abs() < 1e-3);
-        assert!((0..100).all(|i| transfer(f64::from(i + 1) / 100.0) < transfer(f64::from(i) / 100.0)));
     }
 }

@@ -116,9 +116,9 @@ pub enum PlanError {
 
 /// Share of a cone type's catch that may lie beyond the wavelengths computed, per accuracy target.
 const WAVELENGTH_TAIL: f64 = 0.01;
-/// Error of the low-rank basis in its own norm, per accuracy target; the means move by a hundredth of it (L1, measured on pictures
-/// from flat to one lit pixel).
-const BASIS_SHARE: f64 = 0.5;
+/// Error of the low-rank basis in its own norm, per accuracy target; the means move by about half of it (L1, measured on pictures
+/// from fine squares to one lit pixel).
+const BASIS_SHARE: f64 = 0.8;
 /// Frames in one shard.
 const SHARD_FRAMES: u32 = 16;
 

@@ -20,7 +20,8 @@ pub(super) const UM_PER_TANGENT: f64 = 16_440.0;
 const MAX_SINGLE_UM: f64 = 1_950.0;
 const TILE_UM: f64 = 1_100.0;
 /// Samples per two cycles of the highest frequency.
-const OVERSAMPLING: f64 = 1.25;
+const OVERSAMPLING: f64 = 1.12;
+const FINE_OVERSAMPLING: f64 = 1.25;
 
 /// The geometry of a scene.
 #[derive(Clone, Debug)]
@@ -61,7 +62,11 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     let gaze = Gaze::new(&experiment.gaze, experiment.display.distance_cm, experiment.frames, frame_s)?;
     let sight = gaze.bounds(seconds);
     let region = region(experiment, &projection, sight)?;
-    let guard_um = if experiment.accuracy_target >= 0.005 { 150.0 } else { 300.0 };
+    let guard_um = match experiment.accuracy_target {
+        t if t >= 0.005 => 150.0,
+        t if t >= 5e-4 => 300.0,
+        _ => 600.0,
+    };
     if experiment.eye.stray_light.is_some() && experiment.counts.engine != Engine::Expected {
         let allowed = "left out with counts.engine PAPER or EVENTS, which throw scattered light away (§19)";
         return Err(RangeError::new("eye.stray_light", "given", allowed).into());
@@ -90,8 +95,8 @@ impl Setup {
             cones: screen_bounds(&self.projection, tile)?,
             sight: self.sight,
             guard: self.guard_um / UM_PER_TANGENT,
-            band: band(experiment, self, tile),
-            oversampling: OVERSAMPLING,
+            band: band(experiment, self, tile)?,
+            oversampling: if experiment.accuracy_target >= 5e-4 { OVERSAMPLING } else { FINE_OVERSAMPLING },
         };
         Scene::new(&experiment.display, &needs).map_err(|samples| {
             let allowed = format!("a scene of at most {MAX_GRID} grid samples a side, here it would be {samples}; give a smaller retina.region_deg or less movement");

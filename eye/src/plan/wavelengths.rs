@@ -26,8 +26,8 @@ pub fn choose(
     tail: f64,
 ) -> Wavelengths {
     let step_nm = experiment.counts.wavelength_step_nm.unwrap_or(match experiment.accuracy_target {
-        t if t >= 5e-3 => 10.0,
-        t if t >= 5e-4 => 5.0,
+        t if t >= 5e-4 => 10.0,
+        t if t >= 5e-5 => 5.0,
         _ => 2.5,
     });
     let paths = Paths { cornea: 1.0, lens: 1.0 };

@@ -10,7 +10,7 @@
 use super::outline::Outline;
 use super::polynomial::Polynomial2;
 use super::wavefront::{Wavefront, WavefrontOptions};
-use crate::optics::{Dispersion, Object, OpticsError, SchematicEye};
+use crate::optics::{Object, OpticsError, SchematicEye};
 use glam::{DMat2, DVec2, DVec3};
 use std::f64::consts::PI;
 
@@ -36,7 +36,12 @@ impl WavefrontTable {
         [from_nm, to_nm]: [f64; 2],
         options: &WavefrontOptions,
     ) -> Result<Self, OpticsError> {
-        let mut ends: Vec<f64> = kinks_nm(eye).into_iter().filter(|k| *k > from_nm && *k < to_nm).collect();
+        let mut ends: Vec<f64> = eye
+            .prescription()
+            .kinks_nm(eye.state().dispersion)
+            .into_iter()
+            .filter(|k| *k > from_nm && *k < to_nm)
+            .collect();
         ends.push(to_nm);
         let mut from = from_nm;
         let pieces = ends
@@ -84,21 +89,21 @@ impl WavefrontTable {
         };
         let traced = || wavelengths_nm.iter().map(|&nm| Wavefront::new(eye, object, nm, options)).collect();
         let inside = |nm: &f64| *nm > *first && *nm < *last;
-        if wavelengths_nm.len() <= NODES * (1 + kinks_nm(eye).iter().filter(|nm| inside(nm)).count()) {
+        if wavelengths_nm.len()
+            <= NODES
+                * (1 + eye
+                    .prescription()
+                    .kinks_nm(eye.state().dispersion)
+                    .iter()
+                    .filter(|nm| inside(nm))
+                    .count())
+        {
             return traced();
         }
         let table = Self::new(eye, object, [*first, *last], options)?;
         let found: Option<Vec<_>> = wavelengths_nm.iter().map(|&nm| table.at(nm)).collect();
         found.map_or_else(traced, Ok)
     }
-}
-
-/// Wavelengths at which the indices have kinks.
-fn kinks_nm(eye: &SchematicEye) -> Vec<f64> {
-    let table =
-        eye.prescription().polyline.as_ref().filter(|_| eye.state().dispersion == Dispersion::Polyline);
-    let inner = table.and_then(|table| table.wavelength_nm.get(1..table.wavelength_nm.len().max(2) - 1));
-    inner.map(<[f64]>::to_vec).unwrap_or_default()
 }
 
 /// Chebyshev nodes in 1/λ, as rising wavelengths.
