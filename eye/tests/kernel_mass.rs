@@ -15,15 +15,15 @@ use photoneye_eye::plan::plan;
 use photoneye_eye::spectrum::Spectrum;
 use support::{WHITE, build, figure_12, primary};
 
-/// A uniform screen far beyond a small patch, bright enough for 1.1e8 counts.
+/// A bright square amid a patch that catches its blur to 0.6 % of the tail, so that most photons are counted.
 fn bright() -> Experiment {
     let mut experiment = figure_12(WHITE);
     experiment.display.primaries = vec![primary(Channel::White, Spectrum::Line { nm: 555.0, fwhm_nm: 0.0 })];
     experiment.display.primaries[0].rects = vec![[0.0, 0.0, 1.0, 1.0]];
-    (experiment.display.width_px, experiment.display.height_px) = (24, 24);
-    experiment.gaze = Gaze::still([12.0, 12.0]);
-    experiment.retina.region_deg = Some([-0.15, 0.15, -0.15, 0.15]);
-    experiment.display.white = White::LuminanceCdM2(40_000.0);
+    (experiment.display.width_px, experiment.display.height_px) = (4, 4);
+    experiment.gaze = Gaze::still([2.0, 2.0]);
+    experiment.retina.region_deg = Some([-0.25, 0.25, -0.25, 0.25]);
+    experiment.display.white = White::LuminanceCdM2(250_000.0);
     experiment.accuracy_target = 1e-3;
     experiment.counts.poisson = false;
     experiment
