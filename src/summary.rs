@@ -34,6 +34,7 @@ fn photons(text: &mut String, budget: &PhotonBudget) {
         number(budget.emitted / pupil.max(f64::MIN_POSITIVE))
     );
     let losses = [
+        ("reflected at the cornea and the lens", budget.reflected),
         ("lost in the cornea", budget.cornea),
         ("lost in the lens", budget.lens),
         ("lost in the macular pigment", budget.macula),
@@ -42,7 +43,7 @@ fn photons(text: &mut String, budget: &PhotonBudget) {
         ("pass through the cone's pigment", budget.not_absorbed),
         ("are absorbed without isomerizing", budget.not_isomerized),
     ];
-    for (what, photons) in losses {
+    for (what, photons) in losses.into_iter().filter(|(what, n)| *n > 0.0 || !what.starts_with("reflected")) {
         let _ = writeln!(text, "              {:>6} {what}", percent(photons, pupil));
     }
     let isomerized: f64 = budget.isomerized.iter().sum();
@@ -52,6 +53,9 @@ fn photons(text: &mut String, budget: &PhotonBudget) {
         percent(isomerized, pupil),
         number(isomerized)
     );
+    if budget.dark > 0.0 {
+        let _ = writeln!(text, "              {} isomerizations come without light", number(budget.dark));
+    }
 }
 
 fn cones(text: &mut String, report: &Value) {

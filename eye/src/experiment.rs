@@ -14,7 +14,7 @@ use crate::retina::{
 use crate::video::ClipFormat;
 
 /// Version of the counts that an experiment gives; rises whenever the same experiment gives other counts.
-pub const COUNTS_VERSION: u32 = 4;
+pub const COUNTS_VERSION: u32 = 5;
 
 /// What a user asks for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -112,6 +112,10 @@ pub struct Retina {
     pub region_deg: Option<[f64; 4]>,
     /// Digest of an uploaded table of measured cones that takes the place of a grown mosaic.
     pub mosaic: Option<String>,
+    /// Isomerizations of a cone without light, 1/s.
+    pub dark_isomerizations_per_s: f64,
+    /// Retinal illuminance that the cones are adapted to, trolands; `None`: no pigment is bleached.
+    pub bleaching_td: Option<f64>,
 }
 
 /// What is shown.
@@ -438,6 +442,8 @@ impl Default for Retina {
             optic_disc: p.optic_disc.is_some(),
             region_deg: None,
             mosaic: None,
+            dark_isomerizations_per_s: 0.0,
+            bleaching_td: None,
         }
     }
 }
@@ -469,6 +475,11 @@ impl Retina {
         {
             return Err(RangeError::new(&format!("retina.{field}"), value, allowed));
         }
+        let dark = self.dark_isomerizations_per_s;
+        check_range("retina.dark_isomerizations_per_s", dark, 0.0, 1e6)?;
+        if let Some(trolands) = self.bleaching_td {
+            check_range("retina.bleaching.adaptation_td", trolands, 0.0, 1e10)?;
+        }
         if let Some([x0, x1, y0, y1]) = self.region_deg {
             check_range("retina.region_deg.x_min", x0, -MAX_REGION_DEG, MAX_REGION_DEG)?;
             check_range("retina.region_deg.x_max", x1, x0 + 1e-4, MAX_REGION_DEG)?;
@@ -480,4 +491,4 @@ impl Retina {
 }
 
 /// Widest field that is served now, visual degrees from the gaze centre.
-pub const MAX_REGION_DEG: f64 = 30.0;
+pub const MAX_REGION_DEG: f64 = 45.0;

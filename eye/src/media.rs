@@ -68,6 +68,11 @@ impl Media {
         }
     }
 
+    /// Share reflected at all surfaces; 0 where the flat density stands for it.
+    pub fn reflected(&self, nm: f64) -> f64 {
+        1.0 - self.surfaces(nm)
+    }
+
     /// Transmittance of the cornea, with all that is reflected on the way; `path` = path length relative to the axial thickness.
     pub fn cornea(&self, nm: f64, path: f64) -> f64 {
         let flat = if self.surfaces.is_empty() { FLAT } else { 0.0 };

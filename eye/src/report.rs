@@ -12,6 +12,9 @@ pub struct PhotonBudget {
     pub emitted: f64,
     /// Did not meet the entrance pupil.
     pub missed_pupil: f64,
+    /// Reflected at the surfaces of cornea and lens, where reflections are computed; else they are among those of the cornea.
+    #[serde(default)]
+    pub reflected: f64,
     /// Absorbed or scattered in the cornea.
     pub cornea: f64,
     /// Absorbed or scattered in the lens.
@@ -28,12 +31,16 @@ pub struct PhotonBudget {
     pub not_isomerized: f64,
     /// Isomerized, by cone type L, M, S.
     pub isomerized: [f64; 3],
+    /// No photons and so not among the fates: isomerizations without light, which are in the counts too.
+    #[serde(default)]
+    pub dark: f64,
 }
 
 impl PhotonBudget {
     /// The sum of all fates; equals `emitted`.
     pub fn fates(&self) -> f64 {
         self.missed_pupil
+            + self.reflected
             + self.cornea
             + self.lens
             + self.macula
@@ -53,6 +60,8 @@ impl PhotonBudget {
     pub fn add(&mut self, other: &Self) {
         self.emitted += other.emitted;
         self.missed_pupil += other.missed_pupil;
+        self.reflected += other.reflected;
+        self.dark += other.dark;
         self.cornea += other.cornea;
         self.lens += other.lens;
         self.macula += other.macula;

@@ -130,6 +130,16 @@ pub fn emitters(display: &Display) -> Result<Vec<Emitter>, String> {
 }
 
 impl Display {
+    /// Retinal illuminance by a white screen and the room light on it, through a pupil (diameter, mm), trolands.
+    pub fn white_trolands(&self, pupil_mm: f64) -> f64 {
+        let white = match self.white {
+            White::LuminanceCdM2(luminance) => luminance,
+            White::Lumens(_) => self.pixel_lumens() / self.lumens_of(1.0),
+        };
+        let room: f64 = self.primaries.iter().filter(|p| p.channel == Channel::Room).map(|p| p.power).sum();
+        (white + room) * std::f64::consts::FRAC_PI_4 * pupil_mm * pupil_mm
+    }
+
     /// Luminous flux of one fully white pixel, lm.
     fn pixel_lumens(&self) -> f64 {
         match self.white {

@@ -20,6 +20,7 @@ const STEPS: usize = 100;
 /// Shares of one primary's photons that enter the pupil.
 #[derive(Clone, Debug)]
 struct Shares {
+    reflected: f64,
     cornea: f64,
     lens: f64,
     /// Absorbed in the macula at each step of eccentricity.
@@ -59,7 +60,8 @@ impl Ledger {
                     sum(&|nm| before(nm) * (1.0 - media.macula(nm, ecc_deg)))
                 });
                 Shares {
-                    cornea: sum(&|nm| 1.0 - media.cornea(nm, paths.cornea)),
+                    reflected: sum(&|nm| media.reflected(nm)),
+                    cornea: sum(&|nm| 1.0 - media.reflected(nm) - media.cornea(nm, paths.cornea)),
                     lens: sum(&|nm| media.cornea(nm, paths.cornea) * (1.0 - media.lens(nm, paths.lens))),
                     macula: macula.collect(),
                 }
@@ -103,10 +105,11 @@ impl Ledger {
                 let macula = entered * interpolate(&shares.macula, ecc_deg / MACULA_EDGE_DEG);
                 budget.emitted += emitted;
                 budget.missed_pupil += emitted - entered;
+                budget.reflected += entered * shares.reflected;
                 budget.cornea += entered * shares.cornea;
                 budget.lens += entered * shares.lens;
                 budget.macula += macula;
-                reached += entered * (1.0 - shares.cornea - shares.lens) - macula;
+                reached += entered * (1.0 - shares.reflected - shares.cornea - shares.lens) - macula;
             }
         }
         let Means { arrived, guided, .. } = *means;

@@ -65,6 +65,8 @@ pub struct KernelSpec {
     pub reflection_losses: bool,
     /// Stiles-Crawford coefficient, base 10, 1/mm²; 0 is off.
     pub stiles_crawford_rho10_per_mm2: f64,
+    /// Part of the cones' pigment that is not bleached.
+    pub unbleached: f64,
     /// Relative error of the low-rank basis.
     pub tolerance: f64,
     /// Highest frequency kept, cycles per unit tangent.
@@ -113,7 +115,7 @@ impl KernelSpec {
             let eye = SchematicEye::new(&self.prescription, &self.state).map_err(|e| e.to_string())?;
             media = media.with_reflections(|nm| eye.indices(nm));
         }
-        Ok(Absorbers { media, pigments: Pigments::new()? })
+        Ok(Absorbers { media, pigments: Pigments::new()?.with_unbleached(self.unbleached) })
     }
 
     /// The screen in front of the eye.

@@ -35,6 +35,7 @@ use rayon::prelude::*;
 pub use cones::{ConeColumns, cone_columns};
 pub use kernel::{KernelSpec, Kernels};
 pub use polar::PolarShape;
+pub use scan::SCAN_BLUR;
 
 use crate::experiment::{Engine, Experiment, Video};
 use crate::report::PhotonBudget;
@@ -202,25 +203,45 @@ impl Exposure {
             Counter::Events(events) => {
                 let (counts, means) = events.frame(&shown, &self.projector);
                 let budget = self.ledger.budget(&self.projector, &shown, &self.cones, &means);
-                Ok(Frame { counts: FrameCounts::Counts(counts), budget, diagnostics: Vec::new() })
+                Ok(self.drawn_frame(index, counts, budget))
             }
             Counter::Paper(paper) => {
                 let (counts, fates) = paper.frame(&shown, &self.projector);
-                Ok(Frame { counts: FrameCounts::Counts(counts), budget: fates, diagnostics: Vec::new() })
+                Ok(self.drawn_frame(index, counts, fates))
             }
         }
     }
 
+    /// Isomerizations of a cone without light in a frame, mean.
+    fn dark(&self) -> f64 {
+        self.experiment.retina.dark_isomerizations_per_s / self.projector.display.frame_rate_hz
+    }
+
+    /// Counts of photons, and those without light drawn on top.
+    fn drawn_frame(&self, index: u32, mut counts: Vec<u32>, mut budget: PhotonBudget) -> Frame {
+        let dark = self.dark();
+        if dark > 0.0 {
+            let seed = self.experiment.counts.seed;
+            for (count, id) in counts.iter_mut().zip(&self.ids) {
+                *count = count.saturating_add(poisson::draw(seed, index, *id, dark));
+            }
+            budget.dark = dark * self.ids.len() as f64;
+        }
+        Frame { counts: FrameCounts::Counts(counts), budget, diagnostics: Vec::new() }
+    }
+
     fn expected_frame(&self, shown: &Shown, means: &Means) -> Frame {
-        let budget = self.ledger.budget(&self.projector, shown, &self.cones, means);
+        let mut budget = self.ledger.budget(&self.projector, shown, &self.cones, means);
+        let dark = self.dark();
+        budget.dark = dark * self.ids.len() as f64;
         let counts = if self.experiment.counts.poisson {
             let seed = self.experiment.counts.seed;
-            let draw = |(mean, id): (&f64, &u64)| poisson::draw(seed, shown.index, *id, *mean);
+            let draw = |(mean, id): (&f64, &u64)| poisson::draw(seed, shown.index, *id, *mean + dark);
             FrameCounts::Counts(
                 means.isomerized.par_iter().zip(&self.ids).with_min_len(1024).map(draw).collect(),
             )
         } else {
-            FrameCounts::Means(means.isomerized.iter().map(|m| *m as f32).collect())
+            FrameCounts::Means(means.isomerized.iter().map(|m| (*m + dark) as f32).collect())
         };
         let diagnostics = vec![("means clamped at 0".to_owned(), means.clamped)];
         Frame { counts, budget, diagnostics }

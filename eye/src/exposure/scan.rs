@@ -14,6 +14,8 @@ use crate::display::{Emitter, Scan};
 
 /// Largest turn in a step, radians.
 const TURN: f64 = 0.5;
+/// What a frequency of a third of the band loses.
+pub const SCAN_BLUR: f64 = TURN * TURN / 8.0 / 9.0;
 /// Most steps.
 const MAX_STEPS: usize = 256;
 /// Most numbers that the layers of one primary may hold.

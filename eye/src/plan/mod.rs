@@ -13,7 +13,7 @@ use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use crate::artifact::ArtifactSpec;
-use crate::cone::pigment::Pigments;
+use crate::cone::pigment::{Pigments, unbleached};
 use crate::digest::Digest;
 use crate::display::emitters;
 use crate::experiment::{Engine, Experiment};
@@ -133,7 +133,7 @@ pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
     let absorbers = Absorbers {
         media: Media::new(experiment.eye.lens_density_scale, experiment.eye.macular_peak_density)
             .map_err(PlanError::Model)?,
-        pigments: Pigments::new().map_err(PlanError::Model)?,
+        pigments: Pigments::new().map_err(PlanError::Model)?.with_unbleached(part_unbleached(experiment)),
     };
     let tail = WAVELENGTH_TAIL * experiment.accuracy_target;
     let wavelengths = wavelengths::choose(experiment, &emitters, &absorbers, tail);
@@ -255,6 +255,11 @@ fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> [u32; 2] {
     [nodes + finer; 2]
 }
 
+/// Part of the cones' pigment that is not bleached.
+fn part_unbleached(experiment: &Experiment) -> f64 {
+    experiment.retina.bleaching_td.map_or(1.0, unbleached)
+}
+
 fn kernel_spec(
     experiment: &Experiment,
     setup: &Setup,
@@ -284,6 +289,7 @@ fn kernel_spec(
         macular_peak_density: experiment.eye.macular_peak_density,
         reflection_losses: experiment.eye.reflection_losses,
         stiles_crawford_rho10_per_mm2: experiment.eye.stiles_crawford_rho10_per_mm2,
+        unbleached: part_unbleached(experiment),
         tolerance: BASIS_SHARE * experiment.accuracy_target,
         band: scene.band,
     }

@@ -3,6 +3,7 @@
 use super::Omission;
 use super::setup::Setup;
 use super::wavelengths::Wavelengths;
+use crate::cone::pigment::unbleached;
 use crate::display::{FORGOTTEN, Primary, Waveform};
 use crate::experiment::{Experiment, StrayLight};
 use crate::exposure::stray::scattered_share;
@@ -10,8 +11,6 @@ use crate::media::MACULA_EDGE_DEG;
 
 /// Energy of a diffraction-limited spread beyond a radius R is about λ/(π² NA R); λ in the vitreous over NA, µm, at 3 mm.
 const TAIL_UM: f64 = 0.62;
-/// Half bleaching, trolands (§20).
-const HALF_BLEACH_TD: f64 = 19_953.0;
 
 /// The omissions of an experiment.
 pub fn list(experiment: &Experiment, setup: &Setup, band: f64, wavelengths: &Wavelengths) -> Vec<Omission> {
@@ -38,8 +37,8 @@ pub fn list(experiment: &Experiment, setup: &Setup, band: f64, wavelengths: &Wav
             &format!("the image is periodic; the nearest copy is {:.0} µm from any cone", setup.guard_um),
             0.5 * TAIL_UM * 3.0 / experiment.eye.pupil_mm / setup.guard_um,
         ),
-        omission("bleaching", "pigments are taken as unbleached, as in §20", bleached(experiment)),
     ];
+    list.extend(unbleached_pigment(experiment));
     list.extend(lost_light(experiment));
     let cutoff = super::setup::cutoff(experiment);
     if band < cutoff {
@@ -57,6 +56,10 @@ pub fn list(experiment: &Experiment, setup: &Setup, band: f64, wavelengths: &Wav
             let why = "to an eye that does not move the light of a frame is one sum";
             list.push(omission("the course of light inside a frame", why, 0.0));
         }
+    }
+    if !setup.gaze.is_still() && experiment.display.primaries.iter().any(|p| p.waveform.scan().is_some()) {
+        let why = "the turns of pixels are cut into steps; of a frequency at a third of the band so much is blurred";
+        list.push(omission("times between the steps of the scan", why, crate::exposure::SCAN_BLUR));
     }
     let frame_s = 1.0 / experiment.display.frame_rate_hz;
     let history = |p: &Primary| p.waveform.timing(0, frame_s, experiment.display.panel.lag_ms).history();
@@ -113,20 +116,16 @@ fn range(nm: &[f64]) -> String {
     }
 }
 
-/// Share of pigment bleached by a steady white screen: I/(I + I0).
-fn bleached(experiment: &Experiment) -> f64 {
-    use crate::display::White;
-    let display = &experiment.display;
-    let luminance = match display.white {
-        White::LuminanceCdM2(l) => l,
-        White::Lumens(flux) => {
-            let pitch_m2 = (display.pixel_pitch_cm / 100.0).powi(2);
-            flux / (f64::from(display.width_px)
-                * f64::from(display.height_px)
-                * pitch_m2
-                * std::f64::consts::PI)
-        }
-    };
-    let trolands = luminance * std::f64::consts::FRAC_PI_4 * experiment.eye.pupil_mm.powi(2);
-    trolands / (trolands + HALF_BLEACH_TD)
+/// Bleaching, where it is left out: a steady white screen would bleach I/(I + I₀) of the pigment.
+fn unbleached_pigment(experiment: &Experiment) -> Option<Omission> {
+    if experiment.retina.bleaching_td.is_some() {
+        return None;
+    }
+    let trolands = experiment.display.white_trolands(experiment.eye.pupil_mm);
+    let bound = 1.0 - unbleached(trolands);
+    let mut why = format!("pigments are taken as unbleached, as in §20; a white screen has {trolands:.0} td");
+    if bound > 0.01 {
+        why += ": it matters here, see retina.bleaching";
+    }
+    Some(omission("bleaching", &why, bound))
 }

@@ -112,3 +112,36 @@ pub fn layouts<'a>(chart: &'a SloanChart, display: &Display, gaze: &Gaze) -> Vec
     let size = DVec2::new(f64::from(display.width_px), f64::from(display.height_px));
     [0.25, 0.75].map(|part| Layout::new(chart, display, size * DVec2::new(0.5, part))).into()
 }
+
+/// A letter as the viewer sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlacedLetter {
+    /// The letter.
+    pub letter: char,
+    /// Its row of the chart, from 0 at the top; rows of a second chart follow those of the first.
+    pub row: usize,
+    /// Its lower left corner, degrees right and up from the gaze centre.
+    pub corner_deg: DVec2,
+    /// Width of a stroke, degrees.
+    pub stroke_deg: f64,
+}
+
+/// Where the letters of a chart, or of its two charts, are seen.
+pub fn placed_letters(chart: &SloanChart, display: &Display, gaze: &Gaze) -> Vec<PlacedLetter> {
+    let px_deg = display.pixel_radians().to_degrees();
+    let mut letters = Vec::new();
+    let rows = layouts(chart, display, gaze).into_iter().flat_map(|layout| layout.rows);
+    for (row, placed) in rows.enumerate() {
+        for (i, letter) in placed.letters.iter().enumerate() {
+            let corner_px = placed.corner + placed.stroke_px * DVec2::new(10.0 * i as f64, 5.0);
+            let from_gaze = corner_px - DVec2::from_array(gaze.center_px);
+            letters.push(PlacedLetter {
+                letter: *letter,
+                row,
+                corner_deg: DVec2::new(from_gaze.x, -from_gaze.y) * px_deg,
+                stroke_deg: placed.stroke_px * px_deg,
+            });
+        }
+    }
+    letters
+}

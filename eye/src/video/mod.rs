@@ -8,10 +8,12 @@ mod clip;
 mod decode;
 mod netpbm;
 mod pattern;
+pub mod reader;
 mod sloan;
+pub mod sweep;
 mod y4m;
 
-pub use chart::{logmar_rows, paper_rows};
+pub use chart::{PlacedLetter, logmar_rows, paper_rows, placed_letters};
 pub use clip::{ClipFormat, ClipInfo, Matrix, Range, Raw, Yuv, clip_info, decode_frame};
 pub use decode::{DecodeError, Limits, decode_png, png_size};
 pub use pattern::draw;

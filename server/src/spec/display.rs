@@ -2,7 +2,7 @@
 
 use photoneye_eye::catalog;
 use photoneye_eye::display::{
-    Channel, Display, EmissionLaw, Levels, Panel, Primary, Transfer, Waveform, White,
+    Channel, Display, EmissionLaw, Levels, Panel, Primary, Scan, Transfer, Waveform, White,
 };
 use photoneye_eye::spectrum::Spectrum;
 use photoneye_proto::v1::{self, spectrum, waveform};
@@ -179,6 +179,17 @@ fn levels(spec: Option<&v1::Levels>) -> Result<Levels, FieldError> {
 }
 
 fn waveform(path: &str, spec: Option<&v1::Waveform>) -> Result<Waveform, FieldError> {
+    let of_pixel = pixel_waveform(path, spec)?;
+    Ok(match spec.and_then(|spec| spec.scan) {
+        None => of_pixel,
+        Some(scan) => {
+            let scan = Scan { share: number(scan.share, 0.95), line: number(scan.line, 0.8) };
+            Waveform::Scanned { pixel: Box::new(of_pixel), scan }
+        }
+    })
+}
+
+fn pixel_waveform(path: &str, spec: Option<&v1::Waveform>) -> Result<Waveform, FieldError> {
     let pulse = |pulse: &waveform::Pulse| [number(pulse.start, 0.0), number(pulse.end, 1.0)];
     Ok(match spec.map(|spec| spec.kind.as_ref()) {
         None | Some(Some(waveform::Kind::Steady(_))) => Waveform::Steady,
@@ -192,6 +203,8 @@ fn waveform(path: &str, spec: Option<&v1::Waveform>) -> Result<Waveform, FieldEr
             decay_us: needed(&format!("{path}.phosphor.decay_us"), phosphor.decay_us)?,
             start: number(phosphor.start, 0.0),
         },
+        // A scan alone: pixels hold their light until their next turn.
+        Some(None) if spec.is_some_and(|spec| spec.scan.is_some()) => Waveform::Steady,
         Some(None) => return Err(empty_choice(path, &["steady", "pulse", "pulses", "pwm", "phosphor"])),
     })
 }

@@ -26,9 +26,11 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
         Video::Clip(clip) => (clip.blobs.len() as u32).max(1),
         Video::Pattern(_) => 1,
     });
+    let eye = eye::eye(spec.eye.as_deref(), display.distance_cm)?;
+    let white_td = display.white_trolands(eye.pupil_mm);
     let experiment = Experiment {
-        eye: eye::eye(spec.eye.as_deref(), display.distance_cm)?,
-        retina: retina(spec.retina.as_ref())?,
+        eye,
+        retina: retina(spec.retina.as_ref(), white_td)?,
         display,
         video,
         gaze,
@@ -40,7 +42,8 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
     Ok(experiment)
 }
 
-fn retina(spec: Option<&v1::Retina>) -> Result<Retina, FieldError> {
+/// `white_td` is the retinal illuminance by the display's white, trolands.
+fn retina(spec: Option<&v1::Retina>, white_td: f64) -> Result<Retina, FieldError> {
     use v1::retina::{CellWalls as W, Density as D, Generator as G};
     let spec = spec.cloned().unwrap_or_default();
     let default = Retina::default();
@@ -82,6 +85,8 @@ fn retina(spec: Option<&v1::Retina>) -> Result<Retina, FieldError> {
         optic_disc: spec.optic_disc.unwrap_or(default.optic_disc),
         region_deg,
         mosaic: mosaic(spec.mosaic)?,
+        dark_isomerizations_per_s: number(spec.dark_isomerizations_per_s, default.dark_isomerizations_per_s),
+        bleaching_td: spec.bleaching.map(|bleaching| number(bleaching.adaptation_td, white_td)),
     })
 }
 

@@ -17,7 +17,6 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use crate::cone::ISOMERIZATION;
-use crate::cone::pigment::axial_density;
 use crate::display::Emitter;
 use crate::experiment::{Experiment, PaperSettings};
 use crate::exposure::inputs::Inputs;
@@ -46,8 +45,8 @@ struct Node {
     spread: Spread,
     /// Landing point of the chief ray, µm.
     landing_um: DVec2,
-    /// Transmittance of cornea, lens and macula.
-    passed: [f64; 3],
+    /// Share that is not reflected, and transmittance of cornea, lens and macula.
+    passed: [f64; 4],
 }
 
 /// A cone's own numbers.
@@ -78,6 +77,8 @@ pub struct Paper {
     /// Cumulative share of each emitter's photons by channel.
     channels: Vec<Vec<f64>>,
     slant: Vec<f64>,
+    /// Whether reflections are computed.
+    reflects: bool,
 }
 
 #[derive(Clone)]
@@ -101,7 +102,8 @@ impl Paper {
                 let cone_type = retina.cone_type[i];
                 Catch {
                     guided: kernels.throughput() * pointing.factor(f64::from(px).hypot(f64::from(py))),
-                    density: std::f64::consts::LN_10 * axial_density(cone_type, columns.ecc_deg[i]),
+                    density: std::f64::consts::LN_10
+                        * absorbers.pigments.density(cone_type, columns.ecc_deg[i]),
                     cone_type,
                 }
             })
@@ -133,6 +135,7 @@ impl Paper {
             optics: Vec::new(),
             channels,
             slant: slants(projector, projection, scene),
+            reflects: experiment.eye.reflection_losses,
         };
         let apodize = experiment.eye.stiles_crawford_rho10_per_mm2;
         let jobs: Vec<(usize, usize)> =
@@ -163,7 +166,8 @@ impl Paper {
             spread,
             landing_um: projection.retina_um(tangent, nm).map_err(|e| e.to_string())?,
             passed: [
-                media.cornea(nm, self.paths.cornea),
+                1.0 - media.reflected(nm),
+                media.cornea(nm, self.paths.cornea) / (1.0 - media.reflected(nm)),
                 media.lens(nm, self.paths.lens),
                 media.macula(nm, tangent.length().atan().to_degrees()),
             ],
@@ -263,7 +267,7 @@ impl Paper {
         let cell = grid.floor().clamp(DVec2::ZERO, most);
         let t = grid - cell;
         let (x, y) = (cell.x as usize, cell.y as usize);
-        let mut passed = [0.0; 3];
+        let mut passed = [0.0; 4];
         let mut centre = DVec2::ZERO;
         for (dx, dy, weight) in [
             (0, 0, (1.0 - t.x) * (1.0 - t.y)),
@@ -275,14 +279,13 @@ impl Paper {
                 return;
             };
             centre += weight * node.landing_um;
-            (0..3).for_each(|i| passed[i] += weight * node.passed[i]);
+            (0..4).for_each(|i| passed[i] += weight * node.passed[i]);
         }
-        // The filters before the retina.
-        for (fate, share) in [&mut tally.budget.cornea, &mut tally.budget.lens, &mut tally.budget.macula]
-            .into_iter()
-            .zip(passed)
-        {
-            if stream.uniform() >= share {
+        // The filters before the retina; where nothing is reflected no number is drawn.
+        let budget = &mut tally.budget;
+        let fates = [&mut budget.reflected, &mut budget.cornea, &mut budget.lens, &mut budget.macula];
+        for (i, (fate, share)) in fates.into_iter().zip(passed).enumerate() {
+            if (i > 0 || self.reflects) && stream.uniform() >= share {
                 *fate += 1.0;
                 return;
             }
