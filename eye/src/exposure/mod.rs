@@ -197,9 +197,10 @@ impl Exposure {
                 Ok(self.expected_frame(&shown, &means))
             }
             Counter::Events(events) => {
-                let (counts, means) = events.frame(&shown, &self.projector);
-                let budget = self.ledger.budget(&self.projector, &shown, &self.cones, &means);
-                Ok(Frame { counts: FrameCounts::Counts(counts), budget, diagnostics: Vec::new() })
+                let drawn = events.frame(&shown, &self.projector);
+                let budget = self.ledger.budget(&self.projector, &shown, &self.cones, &drawn.means);
+                let diagnostics = vec![("photons drawn".to_owned(), drawn.photons)];
+                Ok(Frame { counts: FrameCounts::Counts(drawn.counts), budget, diagnostics })
             }
             Counter::Paper(paper) => {
                 let (counts, fates) = paper.frame(&shown, &self.projector);
