@@ -54,6 +54,17 @@ pub enum FrameCounts {
     Means(Vec<f32>),
 }
 
+/// One counted photon.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Photon {
+    /// When it left the screen, s from the start of the recording.
+    pub time_s: f64,
+    /// Wavelength, nm: one of the samples of the primary's spectrum.
+    pub wavelength_nm: f32,
+    /// Its cone: place in the order of the cones.
+    pub cone: u32,
+}
+
 /// One computed frame.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -63,6 +74,8 @@ pub struct Frame {
     pub budget: PhotonBudget,
     /// Rare events.
     pub diagnostics: Vec<(String, u64)>,
+    /// The counted photons in order of time, when they are asked for.
+    pub photons: Option<Vec<Photon>>,
 }
 
 /// Why a frame cannot be computed.
@@ -148,6 +161,11 @@ impl Exposure {
         self.ids.is_empty()
     }
 
+    /// Stable number of each cone.
+    pub fn cone_ids(&self) -> &[u64] {
+        &self.ids
+    }
+
     /// Type of each cone: 0 L, 1 M, 2 S.
     pub fn cone_types(&self) -> Vec<u8> {
         self.cones.cones.iter().map(|c| c.cone_type as u8).collect()
@@ -197,14 +215,20 @@ impl Exposure {
                 Ok(self.expected_frame(&shown, &means))
             }
             Counter::Events(events) => {
-                let drawn = events.frame(&shown, &self.projector);
+                let drawn = events.frame(&shown, &self.projector).map_err(ExposureError::Model)?;
                 let budget = self.ledger.budget(&self.projector, &shown, &self.cones, &drawn.means);
                 let diagnostics = vec![("photons drawn".to_owned(), drawn.photons)];
-                Ok(Frame { counts: FrameCounts::Counts(drawn.counts), budget, diagnostics })
+                Ok(Frame {
+                    counts: FrameCounts::Counts(drawn.counts),
+                    budget,
+                    diagnostics,
+                    photons: drawn.list,
+                })
             }
             Counter::Paper(paper) => {
                 let (counts, fates) = paper.frame(&shown, &self.projector);
-                Ok(Frame { counts: FrameCounts::Counts(counts), budget: fates, diagnostics: Vec::new() })
+                let (counts, diagnostics) = (FrameCounts::Counts(counts), Vec::new());
+                Ok(Frame { counts, budget: fates, diagnostics, photons: None })
             }
         }
     }
@@ -221,7 +245,7 @@ impl Exposure {
             FrameCounts::Means(means.isomerized.iter().map(|m| *m as f32).collect())
         };
         let diagnostics = vec![("means clamped at 0".to_owned(), means.clamped)];
-        Frame { counts, budget, diagnostics }
+        Frame { counts, budget, diagnostics, photons: None }
     }
 }
 

@@ -14,6 +14,7 @@
 
 mod dice;
 mod landing;
+mod list;
 mod piece;
 mod sight;
 mod spread;
@@ -31,10 +32,12 @@ use super::light::Shown;
 use super::scene::Scene;
 use super::source::{Layer, Projector};
 use crate::experiment::Experiment;
+use crate::exposure::Photon;
 use crate::retina::ConeIndex;
 use crate::rng::{Purpose, Stream, mixed};
 use landing::Landing;
-use piece::{BLOCK, Block, GRAIN, Piece, Tally};
+use list::{Lister, MAX_PHOTONS};
+use piece::{BLOCK, Block, GRAIN, Piece, Tally, Wave};
 use sight::Sight;
 use tables::Tables;
 
@@ -49,6 +52,8 @@ pub struct Events {
     tables: Tables,
     /// By pixel of the window: share of its light that meets the pupil, relative to the gaze centre.
     slant: Vec<f64>,
+    /// Whether counted photons are listed.
+    listed: bool,
 }
 
 /// One frame.
@@ -59,6 +64,8 @@ pub struct Drawn {
     pub means: Means,
     /// Photons that were followed.
     pub photons: u64,
+    /// Those that were counted, in order of time, when they are asked for.
+    pub list: Option<Vec<Photon>>,
 }
 
 impl Events {
@@ -71,7 +78,7 @@ impl Events {
         let (low, high) =
             super::bounds(cones.cones.iter().flat_map(|c| c.polygon_px.iter().map(|p| scene.tangent(*p))));
         let landing = Landing::new(projection, scene, [low, high])?;
-        let tables = Tables::new(inputs, cones, &landing, experiment.accuracy_target)?;
+        let tables = Tables::new(inputs, cones, &landing, experiment)?;
         let [width, height] = scene.size_px;
         let law = projector.display.emission_law;
         let pixels = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
@@ -87,12 +94,20 @@ impl Events {
             landing,
             tables,
             slant,
+            listed: experiment.counts.photon_list,
         })
     }
 
     /// Simulates a frame.
-    pub fn frame(&self, shown: &Shown, projector: &Projector) -> Drawn {
-        let source = projector.frame(shown, &self.scene);
+    ///
+    /// # Errors
+    /// When more photons are to be listed than are served.
+    pub fn frame(&self, shown: &Shown, projector: &Projector) -> Result<Drawn, String> {
+        let source = if self.listed {
+            projector.frame_in_time(shown, &self.scene)
+        } else {
+            projector.frame(shown, &self.scene)
+        };
         let layers: Vec<(usize, &Layer, Sight)> = (0..)
             .zip(&source.primaries)
             .flat_map(|(primary, p)| p.layers.iter().map(move |layer| (primary, layer)))
@@ -117,7 +132,7 @@ impl Events {
             })
             .collect();
         let mut sum = Tally::new(self.tables.cones());
-        for tally in &tallies {
+        for tally in tallies {
             sum.add(tally);
         }
         let means = Means {
@@ -126,7 +141,8 @@ impl Events {
             guided: sum.guided as f64 * GRAIN,
             clamped: 0,
         };
-        Drawn { counts: sum.counts, means, photons: sum.drawn }
+        let list = self.listed.then(|| listed(sum.list)).transpose()?;
+        Ok(Drawn { counts: sum.counts, means, photons: sum.drawn, list })
     }
 
     /// Blocks of pixels along each side of the window.
@@ -163,11 +179,31 @@ impl Events {
             if rate <= 0.0 {
                 continue;
             }
-            let beam = self.tables.beam(*primary, wave);
+            let frame_s = 1.0 / projector.display.frame_rate_hz;
+            let lister = self.tables.wavelengths(*primary, wave).zip(layer.course.as_ref());
+            let lister = lister.map(|(wavelengths, course)| Lister {
+                wavelengths,
+                course,
+                frame: shown.index,
+                frame_s,
+            });
+            let part = Wave { beam: self.tables.beam(*primary, wave), rate, lister };
             let number = ((number * self.tables.waves() + wave) as u64) << 40 | block as u64;
             let frame = u64::from(shown.index);
             let mut stream = Stream::new(self.seed, Purpose::Events, frame, mixed(self.place, number));
-            piece.count(&self.landing, &self.index, &beam, rate, &mut stream, tally);
+            piece.count(&self.landing, &self.index, &part, &mut stream, tally);
         }
     }
+}
+
+/// The photons of a frame in an order that does not depend on who counted them.
+fn listed(mut photons: Vec<Photon>) -> Result<Vec<Photon>, String> {
+    if photons.len() > MAX_PHOTONS {
+        return Err(format!(
+            "counts.photon_list: more than {MAX_PHOTONS} photons are counted in one frame and tile; take a dimmer display, a higher frame rate or a smaller patch"
+        ));
+    }
+    let key = |p: &Photon| (p.time_s.to_bits(), p.cone, p.wavelength_nm.to_bits());
+    photons.sort_unstable_by_key(key);
+    Ok(photons)
 }

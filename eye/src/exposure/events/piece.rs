@@ -5,10 +5,11 @@ use glam::DVec2;
 
 use super::dice::{COUNT_TIME, PIXEL, Words, unit};
 use super::landing::{Landing, Patch};
+use super::list::{Lister, MAX_PHOTONS};
 use super::sight::{Sight, place};
 use super::tables::{Beam, Drawn};
 use crate::display::Emitter;
-use crate::exposure::poisson;
+use crate::exposure::{Photon, poisson};
 use crate::retina::ConeIndex;
 use crate::rng::Stream;
 
@@ -29,18 +30,21 @@ pub(super) struct Tally {
     pub(super) drawn: u64,
     pub(super) arrived: u64,
     pub(super) guided: u64,
+    /// Counted photons, when they are listed.
+    pub(super) list: Vec<Photon>,
 }
 
 impl Tally {
     pub(super) fn new(cones: usize) -> Self {
-        Self { counts: vec![0; cones], drawn: 0, arrived: 0, guided: 0 }
+        Self { counts: vec![0; cones], drawn: 0, arrived: 0, guided: 0, list: Vec::new() }
     }
 
-    pub(super) fn add(&mut self, other: &Self) {
+    pub(super) fn add(&mut self, mut other: Self) {
         self.counts.iter_mut().zip(&other.counts).for_each(|(sum, count)| *sum = sum.saturating_add(*count));
         self.drawn += other.drawn;
         self.arrived += other.arrived;
         self.guided += other.guided;
+        self.list.append(&mut other.list);
     }
 }
 
@@ -57,6 +61,15 @@ pub(super) struct Piece<'a> {
     pub(super) emitter: &'a Emitter,
     pub(super) sight: &'a Sight<'a>,
     pub(super) block: Block,
+}
+
+/// One wavelength node's part of a piece.
+pub(super) struct Wave<'a> {
+    pub(super) beam: Beam<'a>,
+    /// Share of the photons that is drawn.
+    pub(super) rate: f64,
+    /// Lists those that are counted.
+    pub(super) lister: Option<Lister<'a>>,
 }
 
 impl Block {
@@ -141,32 +154,46 @@ impl Stage {
     }
 
     /// Counts on the cones where photons landed.
-    fn count(&mut self, index: &ConeIndex, beam: &Beam, many: usize, tally: &mut Tally) {
+    fn count(
+        &mut self,
+        index: &ConeIndex,
+        wave: &Wave,
+        words: Words,
+        first: u64,
+        many: usize,
+        tally: &mut Tally,
+    ) {
         for i in 0..many {
             let Some(cone) = index.cone(self.held[i], self.place[i].1) else {
                 continue;
             };
-            let odds = beam.odds(cone, self.drawn[i].node);
+            let odds = wave.beam.odds(cone, self.drawn[i].node);
             self.arrived += f64::from(odds.arrived);
             self.guided += f64::from(odds.guided);
             let count = &mut tally.counts[cone as usize];
-            *count = count.saturating_add(u32::from(self.chance[i] < odds.counted));
+            let counted = self.chance[i] < odds.counted;
+            *count = count.saturating_add(u32::from(counted));
+            if let (true, Some(lister)) = (counted, &wave.lister)
+                && tally.list.len() <= MAX_PHOTONS
+            {
+                let caught = wave.beam.caught(cone);
+                tally.list.push(lister.photon(words, first + i as u64, cone, &caught));
+            }
         }
     }
 }
 
 impl Piece<'_> {
-    /// Draws and counts the photons near one wavelength node, of which the share `rate` is drawn.
+    /// Draws and counts the photons near one wavelength node.
     pub(super) fn count(
         &self,
         landing: &Landing,
         index: &ConeIndex,
-        beam: &Beam,
-        rate: f64,
+        wave: &Wave,
         stream: &mut Stream,
         tally: &mut Tally,
     ) {
-        let pixels = self.numbers(self.sight.share() * rate, stream);
+        let pixels = self.numbers(self.sight.share() * wave.rate, stream);
         let drawn = pixels.iter().map(|(_, number)| number).sum::<u64>();
         let words = Words { key: stream.bits() };
         tally.drawn += drawn;
@@ -186,8 +213,8 @@ impl Piece<'_> {
                 self.leave(landing, words, (run.0, first + filled as u64), seen, chances);
                 (run.1, filled) = (run.1 - (until - filled) as u64, until);
             }
-            stage.land(index, beam, words, first, many);
-            stage.count(index, beam, many, tally);
+            stage.land(index, &wave.beam, words, first, many);
+            stage.count(index, wave, words, first, many, tally);
             first += many as u64;
         }
         tally.arrived += (stage.arrived / GRAIN) as u64;

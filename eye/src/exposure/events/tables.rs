@@ -5,16 +5,18 @@ use rayon::prelude::*;
 
 use super::dice::{CELL, JITTER_NODE, Words};
 use super::landing::Landing;
+use super::list::Wavelengths;
 use super::spread::Spread;
+use crate::experiment::Experiment;
 use crate::exposure::cones::ConeTable;
 use crate::exposure::expected::ARRIVING;
 use crate::exposure::inputs::Inputs;
-use crate::exposure::spectral::KINDS;
+use crate::exposure::spectral::{KINDS, Share};
 use crate::exposure::transfer::{FieldPoint, spot_radius_um, wavefronts};
 use crate::psf::Wavefront;
 
 /// Steps of eccentricity between which weights are interpolated.
-const ECC_STEPS: usize = 32;
+pub(super) const ECC_STEPS: usize = 32;
 /// Largest distance of field nodes, visual degrees, for targets down to 0.5 % and below.
 const NODE_DEG: [f64; 2] = [0.7, 0.35];
 
@@ -50,6 +52,13 @@ pub(super) struct Drawn {
 
 /// In place of an entry: outside the core.
 const OUTSIDE: u32 = u32::MAX;
+
+/// Which weights a cone counts with: its kind, and its place between two steps of eccentricity.
+pub(super) struct Caught {
+    pub(super) kind: usize,
+    pub(super) below: usize,
+    pub(super) t: f32,
+}
 
 /// What becomes of a drawn photon that has landed on a cone.
 pub(super) struct Odds {
@@ -89,6 +98,8 @@ pub(super) struct Tables {
     /// `[primary][wave]`: the most that any cone counts.
     most: Vec<Vec<f64>>,
     cones: Vec<Cone>,
+    /// `[primary][wave]`, when photons are listed.
+    wavelengths: Vec<Vec<Wavelengths>>,
 }
 
 impl Tables {
@@ -100,7 +111,7 @@ impl Tables {
         inputs: &Inputs,
         cones: &ConeTable,
         landing: &Landing,
-        target: f64,
+        experiment: &Experiment,
     ) -> Result<Self, String> {
         let Inputs { kernels, retina, .. } = inputs;
         let spec = kernels.spec();
@@ -136,11 +147,20 @@ impl Tables {
             .collect();
         let pointing = cones.iter().map(|cone| cone.pointing).fold(0.0, f32::max);
 
+        let wavelengths = if experiment.counts.photon_list {
+            let near = |shares: &Vec<Share>, node: usize| {
+                Wavelengths::new(&absorbers, shares, (&spec.nodes_nm, node), ecc, kernels.paths())
+            };
+            shares.par_iter().map(|shares| (0..waves).map(|node| near(shares, node)).collect()).collect()
+        } else {
+            Vec::new()
+        };
+
         // Nodes evenly over the retina that the window is imaged on and the cones lie on.
         let [from, to] = landing.bounds();
         let (low, high) = (landing.um(from), landing.um(to));
         let (min, max) = (low.min(high).max(retina.region.min), low.max(high).min(retina.region.max));
-        let finest = NODE_DEG[usize::from(target < 0.005)] * 287.0;
+        let finest = NODE_DEG[usize::from(experiment.accuracy_target < 0.005)] * 287.0;
         let side = [0, 1].map(|axis| ((max[axis] - min[axis]).max(0.0) / finest).ceil() as usize + 1);
         let step_um =
             DVec2::from_array([0, 1].map(|axis| (max[axis] - min[axis]) / (side[axis] - 1).max(1) as f64));
@@ -158,7 +178,7 @@ impl Tables {
             .collect();
         let per_um =
             DVec2::from_array([0, 1].map(|axis| if side[axis] > 1 { 1.0 / step_um[axis] } else { 0.0 }));
-        Ok(Self { first_um: min, per_um, side, nodes, cores, weights, most, cones })
+        Ok(Self { first_um: min, per_um, side, nodes, cores, weights, most, cones, wavelengths })
     }
 
     /// Number of wavelength nodes.
@@ -174,6 +194,11 @@ impl Tables {
     /// Share of a primary's photons near a wavelength node that is drawn.
     pub(super) fn most(&self, primary: usize, wave: usize) -> f64 {
         self.most[primary][wave]
+    }
+
+    /// Wavelengths of a primary near a node, when photons are listed.
+    pub(super) fn wavelengths(&self, primary: usize, wave: usize) -> Option<&Wavelengths> {
+        self.wavelengths.get(primary).and_then(|waves| waves.get(wave))
     }
 
     /// A primary's light near a wavelength node.
@@ -236,6 +261,12 @@ impl Beam<'_> {
             DVec2::new(f64::from(row) + jitter[0], f64::from(column) + jitter[1])
         };
         um + node.corner_um + node.step_um * place
+    }
+
+    /// Which weights a cone counts with.
+    pub(super) fn caught(&self, cone: u32) -> Caught {
+        let Cone { kind, below, t, .. } = self.tables.cones[cone as usize];
+        Caught { kind: kind as usize, below: below as usize, t }
     }
 
     /// What a cone does with a drawn photon that has landed on it.
