@@ -108,10 +108,15 @@ impl Events {
         } else {
             projector.frame(shown, &self.scene)
         };
+        let sight = |part: f64| {
+            let seconds = (f64::from(shown.index) + part) / projector.display.frame_rate_hz;
+            let tangent = projector.gaze.screen_tangent(seconds);
+            DVec2::new(tangent.x, -tangent.y) / self.scene.tangent_per_px
+        };
         let layers: Vec<(usize, &Layer, Sight)> = (0..)
             .zip(&source.primaries)
             .flat_map(|(primary, p)| p.layers.iter().map(move |layer| (primary, layer)))
-            .map(|(primary, layer)| (primary, layer, Sight::new(&layer.segments)))
+            .map(|(primary, layer)| (primary, layer, Sight::new(layer, &sight)))
             .collect();
         // Pieces of work are taken as they come: what each draws depends on its own numbers only, and all sums are of whole numbers.
         let blocks = self.blocks().into_iter().product::<usize>();

@@ -4,23 +4,34 @@ use glam::DVec2;
 
 use super::dice::{PLACE, Words};
 use crate::display::Emitter;
-use crate::exposure::light::Segment;
+use crate::exposure::light::{Course, Segment};
+use crate::exposure::source::Layer;
 use crate::math;
 
 /// A layer's segments with their cumulative shares.
 pub(super) struct Sight<'a> {
     segments: &'a [Segment],
     until: Vec<f64>,
+    /// For parts of time that overlap or take light from each other, which segments cannot be drawn from: the course, and the line of sight
+    /// (pixels) at a part of the frame.
+    overlapping: Option<(&'a Course, &'a (dyn Fn(f64) -> DVec2 + Sync))>,
 }
 
 impl<'a> Sight<'a> {
-    pub(super) fn new(segments: &'a [Segment]) -> Self {
+    /// Of a layer; `sight` gives the line of sight at a part of the frame.
+    pub(super) fn new(layer: &'a Layer, sight: &'a (dyn Fn(f64) -> DVec2 + Sync)) -> Self {
+        let segments = layer.segments.as_slice();
         let mut sum = 0.0;
+        let tangled = |course: &&Course| {
+            course.parts.iter().any(|part| part.share < 0.0)
+                || course.parts.windows(2).any(|pair| pair[1].start < pair[0].end - 1e-12)
+        };
+        let overlapping = layer.course.as_ref().filter(tangled).map(|course| (course, sight));
         let until = segments.iter().map(|segment| {
             sum += segment.share;
             sum
         });
-        Self { until: until.collect(), segments }
+        Self { until: until.collect(), segments, overlapping }
     }
 
     /// Light of the layer over the frame.
@@ -43,6 +54,9 @@ impl<'a> Sight<'a> {
     /// The line of sight for a uniform number: the inverse of the light's distribution in time.
     #[inline]
     pub(super) fn at(&self, uniform: f64) -> DVec2 {
+        if let Some((course, sight)) = self.overlapping {
+            return sight(course.time(uniform));
+        }
         let wanted = uniform * self.share();
         let number = match self.segments.len() {
             1 => 0,
