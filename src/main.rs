@@ -9,6 +9,7 @@ mod counts_file;
 mod experiment_file;
 mod failure;
 mod output;
+mod photon_list;
 mod pictures;
 mod profile;
 mod progress;

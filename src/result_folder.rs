@@ -14,9 +14,10 @@ use photoneye_store::table::{Chunk, CountsVec, read_counts};
 use tempfile::TempDir;
 
 use crate::failure::Failure;
+use crate::photon_list::PhotonList;
 
 /// What a result folder holds; whatever else lies in an existing one is left alone.
-const KNOWN: [&str; 4] = ["frames", "cones.arrow", "counts.npy", "report.json"];
+const KNOWN: [&str; 5] = ["frames", "cones.arrow", "counts.npy", "photons.arrow", "report.json"];
 
 /// A result on its way into its folder. Dropped before [`Draft::publish`], it leaves nothing.
 pub struct Draft {
@@ -138,28 +139,31 @@ fn set_readable(path: &Path) {
 pub async fn fetch(client: &Client, job: &v1::Job, draft: &Draft) -> Result<String, Failure> {
     draft.write("cones.arrow", &client.cones(job.id()).await?)?;
     let frames = job.plan.as_ref().map_or(0, v1::Plan::frames) as usize;
-    fetch_counts(client, job.id(), frames, job.cones() as usize, &draft.path().join("counts.npy")).await?;
+    fetch_counts(client, job.id(), frames, job.cones() as usize, draft.path()).await?;
     let report = client.report(job.id()).await?;
     draft.write("report.json", report.as_bytes())?;
     Ok(report)
 }
 
-/// Writes each chunk to its place in counts.npy; memory holds one chunk.
+/// Writes each chunk to its place in counts.npy, and photons.arrow when photons are listed; memory holds one chunk.
 async fn fetch_counts(
     client: &Client,
     id: &str,
     frames: usize,
     cones: usize,
-    path: &Path,
+    folder: &Path,
 ) -> Result<(), Failure> {
-    let failed = |e: std::io::Error| Failure::file("write", path, &e);
-    let mut file = File::create(path).map_err(failed)?;
+    let path = folder.join("counts.npy");
+    let failed = |e: std::io::Error| Failure::file("write", &path, &e);
+    let mut file = File::create(&path).map_err(failed)?;
+    let mut photons = PhotonList::default();
     let mut layout: Option<Layout> = None;
     let mut seen = HashSet::new();
     let mut filled = 0;
     let mut chunks = std::pin::pin!(client.results(id, 1));
     while let Some(message) = chunks.next().await {
-        let chunk = decode(&message?)?;
+        let message = message?;
+        let chunk = decode(&message)?;
         if layout.is_none() {
             let fresh = Layout::new(&chunk.counts, frames, cones);
             file.write_all(&fresh.header).map_err(failed)?;
@@ -171,13 +175,14 @@ async fn fetch_counts(
             filled += chunk.counts.len();
             file.seek(SeekFrom::Start(offset)).map_err(failed)?;
             file.write_all(&layout.bytes(&chunk.counts)?).map_err(failed)?;
+            photons.keep(message.bytes())?;
         }
     }
     if layout.is_none() {
         file.write_all(&npy::header(Scalar::U32, &[frames, cones])).map_err(failed)?;
     }
     if filled == frames * cones {
-        Ok(())
+        photons.write(&folder.join("photons.arrow"))
     } else {
         Err(Failure::failed(format!(
             "the result is incomplete: {filled} of {} counts arrived",

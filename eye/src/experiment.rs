@@ -305,6 +305,8 @@ pub struct Counts {
     pub poisson: bool,
     /// Seed of the photon noise.
     pub seed: u64,
+    /// Whether the counted photons are listed.
+    pub photon_list: bool,
     /// Spacing of wavelengths fixed by hand, nm.
     pub wavelength_step_nm: Option<f64>,
     /// Settings of the `paper` engine.
@@ -373,6 +375,13 @@ impl Experiment {
         self.gaze.validate()?;
         if let Some(step) = self.counts.wavelength_step_nm {
             check_range("counts.settings.wavelength_step_nm", step, 1.0, 20.0)?;
+        }
+        if self.counts.photon_list && self.counts.engine != Engine::Events {
+            return Err(RangeError::new(
+                "counts.photon_list",
+                true,
+                "false, or true with counts.engine EVENTS",
+            ));
         }
         check_range("counts.settings.paper_rays", f64::from(self.counts.paper.rays), 16.0, 65536.0)?;
         check_range("counts.settings.paper_samples", f64::from(self.counts.paper.samples), 16.0, 512.0)?;

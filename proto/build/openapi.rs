@@ -31,6 +31,13 @@ const ENDPOINTS: &[Endpoint] = &[
     ),
     ("get", "/v1/jobs/{id}/results", "Result chunks as one Arrow stream", None, (ARROW_STREAM, None)),
     ("get", "/v1/jobs/{id}/counts.npy", "Counts [frame, cone] as a NumPy array", None, (BYTES, None)),
+    (
+        "get",
+        "/v1/jobs/{id}/photons.arrow",
+        "Counted photons (frame, time_s, wavelength_nm, cone) with `counts.photon_list`, as an Arrow stream",
+        None,
+        (ARROW_STREAM, None),
+    ),
     ("get", "/v1/jobs/{id}/cones.arrow", "The cone table as an Arrow file", None, (ARROW_FILE, None)),
     ("get", "/v1/jobs/{id}/frames/{frame}", "A frame as a picture: `0.png`", None, ("image/png", None)),
     ("get", "/v1/jobs/{id}/report", "The report of a finished job", None, (JSON, None)),

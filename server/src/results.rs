@@ -8,6 +8,7 @@ use futures::Stream;
 use photoneye_proto::v1;
 use photoneye_store::BlobDigest;
 use photoneye_store::npy::{self, Scalar};
+use photoneye_store::photons::{PhotonsTable, read_photons};
 use photoneye_store::table::{Chunk, CountsTable, CountsVec, read_counts};
 
 use crate::error::{Error, Kind};
@@ -166,6 +167,32 @@ impl Service {
                     CountsVec::F32(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect::<Bytes>(),
                 };
             }
+        })
+    }
+
+    /// The counted photons of a job, frame by frame and tile by tile, as one Arrow stream.
+    ///
+    /// # Errors
+    /// When there is no such job, it lists no photons or it has not succeeded.
+    pub async fn photons(
+        self: Arc<Self>,
+        id: String,
+    ) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
+        if !self.experiment(&id).await?.counts.photon_list {
+            return Err(Error::new(
+                Kind::NotFound,
+                "the job lists no photons: counts.photon_list was not set",
+            ));
+        }
+        let (places, ..) = self.look_at_result(&id).await?;
+        Ok(async_stream::try_stream! {
+            let mut table = PhotonsTable::new()?;
+            for (frame, tile, digest) in places {
+                let bytes = self.chunk_bytes(&id, frame, tile, digest).await?;
+                let photons = tokio::task::spawn_blocking(move || read_photons(&bytes)).await??;
+                yield Bytes::from(table.push(frame, &photons.unwrap_or_default())?);
+            }
+            yield Bytes::from(table.finish()?);
         })
     }
 

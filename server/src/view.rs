@@ -30,6 +30,7 @@ pub fn plan(plan: &Plan, cached: impl Fn(&str) -> bool) -> v1::Plan {
     v1::Plan {
         experiment_digest: Some(plan.experiment.to_string()),
         engine: Some(plan.engine.clone()),
+        engine_reason: Some(plan.engine_reason.clone()),
         region_um: vec![region.min.x, region.max.x, region.min.y, region.max.y],
         wavelengths_nm: plan.wavelengths_nm.clone(),
         field_nodes: Some(plan.field_nodes),

@@ -51,7 +51,7 @@ fn as_json(plan: &v1::Plan, experiment_json: &str) -> Result<serde_json::Value, 
 
 fn explain(plan: &v1::Plan) -> Vec<String> {
     let mut lines = vec![
-        format!("Engine        {}", plan.engine()),
+        format!("Engine        {}: {}", plan.engine(), plan.engine_reason()),
         format!("Frames        {} in {} tile(s)", plan.frames(), plan.tiles()),
         format!("Cones         about {}", summary::number(plan.predicted_cones())),
     ];

@@ -7,6 +7,7 @@ pub mod digest;
 pub mod folder;
 pub mod mapped;
 pub mod npy;
+pub mod photons;
 pub mod table;
 
 pub use digest::BlobDigest;

@@ -380,7 +380,7 @@ impl CountsTable {
     }
 }
 
-fn column<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a ArrayRef, TableError> {
+pub(crate) fn column<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a ArrayRef, TableError> {
     let column =
         batch.column_by_name(name).ok_or_else(|| TableError::Shape(format!("no column `{name}`")))?;
     if column.null_count() > 0 {
@@ -389,7 +389,7 @@ fn column<'a>(batch: &'a RecordBatch, name: &str) -> Result<&'a ArrayRef, TableE
     Ok(column)
 }
 
-fn wrong_type(name: &str) -> TableError {
+pub(crate) fn wrong_type(name: &str) -> TableError {
     TableError::Shape(format!("column `{name}` has another type"))
 }
 
@@ -400,6 +400,6 @@ fn metadata<T: std::str::FromStr>(schema: &Schema, name: &str) -> Result<T, Tabl
 }
 
 /// Arrow's readers trust some of the offsets in a file; here damaged bytes are an error like any other.
-fn guarded<T>(read: impl FnOnce() -> Result<T, TableError>) -> Result<T, TableError> {
+pub(crate) fn guarded<T>(read: impl FnOnce() -> Result<T, TableError>) -> Result<T, TableError> {
     catch_unwind(AssertUnwindSafe(read)).unwrap_or_else(|_| Err(TableError::Shape("damaged".into())))
 }

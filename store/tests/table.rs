@@ -5,6 +5,7 @@ use std::io::Cursor;
 use arrow_array::cast::AsArray;
 use arrow_array::types::{UInt32Type, UInt64Type};
 use arrow_ipc::reader::StreamReader;
+use photoneye_store::photons::{Photons, photons_stream, read_photons};
 use photoneye_store::table::{
     Chunk, ConeColumns, Counts, CountsTable, CountsVec, cones_file, counts_stream, read_cones_file,
     read_counts,
@@ -95,6 +96,23 @@ proptest! {
             bytes[at] ^= 1 << bit;
         }
         let _ = read_cones_file(&bytes);
+    }
+}
+
+#[test]
+fn photons_come_back_from_behind_the_counts() {
+    let counts = counts_stream(0, 0, 0, Counts::U32(&[1, 0, 1])).unwrap();
+    assert_eq!(read_photons(&counts).unwrap(), None);
+    for photons in [
+        Photons::default(),
+        Photons { time_s: vec![0.25, 0.5], wavelength_nm: vec![543.0, 632.5], cone: vec![1 << 40, 7] },
+    ] {
+        let chunk = [counts.clone(), photons_stream(&photons).unwrap()].concat();
+        assert_eq!(read_counts(&chunk).unwrap().counts, CountsVec::U32(vec![1, 0, 1]));
+        assert_eq!(read_photons(&chunk).unwrap(), Some(photons));
+        for end in counts.len() + 1..chunk.len() - 8 {
+            assert!(read_photons(&chunk[..end]).is_err(), "{end}");
+        }
     }
 }
 

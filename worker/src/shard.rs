@@ -9,6 +9,7 @@ use photoneye_eye::exposure::{Frame, FrameCounts};
 use photoneye_eye::report::WorkReport;
 use photoneye_eye::video::Picture;
 use photoneye_proto::v1;
+use photoneye_store::photons::{Photons, photons_stream};
 use photoneye_store::table::{Counts, counts_stream};
 
 use crate::lease::{Done, Lease};
@@ -83,11 +84,16 @@ fn count(
         FrameCounts::Counts(counts) => Counts::U32(counts),
         FrameCounts::Means(means) => Counts::F32(means),
     };
-    Ok(Chunk {
-        bytes: counts_stream(index, tile, first_cone, counts)?,
-        summary: summarize(&frame.counts, &scene.cone_types),
-        frame,
-    })
+    let mut bytes = counts_stream(index, tile, first_cone, counts)?;
+    if let Some(list) = &frame.photons {
+        let ids = scene.exposure.cone_ids();
+        bytes.extend(photons_stream(&Photons {
+            time_s: list.iter().map(|photon| photon.time_s).collect(),
+            wavelength_nm: list.iter().map(|photon| photon.wavelength_nm).collect(),
+            cone: list.iter().map(|photon| ids[photon.cone as usize]).collect(),
+        })?);
+    }
+    Ok(Chunk { bytes, summary: summarize(&frame.counts, &scene.cone_types), frame })
 }
 
 fn summarize(counts: &FrameCounts, cone_types: &[u8]) -> Summary {

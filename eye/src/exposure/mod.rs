@@ -58,6 +58,17 @@ pub enum FrameCounts {
     Means(Vec<f32>),
 }
 
+/// One counted photon.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Photon {
+    /// When it left the screen, s from the start of the recording.
+    pub time_s: f64,
+    /// Wavelength, nm: one of the samples of the primary's spectrum.
+    pub wavelength_nm: f32,
+    /// Its cone: place in the order of the cones.
+    pub cone: u32,
+}
+
 /// One computed frame.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -67,6 +78,8 @@ pub struct Frame {
     pub budget: PhotonBudget,
     /// Rare events.
     pub diagnostics: Vec<(String, u64)>,
+    /// The counted photons in order of time, when they are asked for.
+    pub photons: Option<Vec<Photon>>,
 }
 
 /// Why a frame cannot be computed.
@@ -152,6 +165,11 @@ impl Exposure {
         self.ids.is_empty()
     }
 
+    /// Stable number of each cone.
+    pub fn cone_ids(&self) -> &[u64] {
+        &self.ids
+    }
+
     /// Type of each cone: 0 L, 1 M, 2 S.
     pub fn cone_types(&self) -> Vec<u8> {
         self.cones.cones.iter().map(|c| c.cone_type as u8).collect()
@@ -201,9 +219,11 @@ impl Exposure {
                 Ok(self.expected_frame(&shown, &means))
             }
             Counter::Events(events) => {
-                let (counts, means) = events.frame(&shown, &self.projector);
-                let budget = self.ledger.budget(&self.projector, &shown, &self.cones, &means);
-                Ok(self.drawn_frame(index, counts, budget))
+                let drawn = events.frame(&shown, &self.projector).map_err(ExposureError::Model)?;
+                let budget = self.ledger.budget(&self.projector, &shown, &self.cones, &drawn.means);
+                let diagnostics = vec![("photons drawn".to_owned(), drawn.photons)];
+                let frame = self.drawn_frame(index, drawn.counts, budget);
+                Ok(Frame { diagnostics, photons: drawn.list, ..frame })
             }
             Counter::Paper(paper) => {
                 let (counts, fates) = paper.frame(&shown, &self.projector);
@@ -227,7 +247,7 @@ impl Exposure {
             }
             budget.dark = dark * self.ids.len() as f64;
         }
-        Frame { counts: FrameCounts::Counts(counts), budget, diagnostics: Vec::new() }
+        Frame { counts: FrameCounts::Counts(counts), budget, diagnostics: Vec::new(), photons: None }
     }
 
     fn expected_frame(&self, shown: &Shown, means: &Means) -> Frame {
@@ -244,7 +264,7 @@ impl Exposure {
             FrameCounts::Means(means.isomerized.iter().map(|m| (*m + dark) as f32).collect())
         };
         let diagnostics = vec![("means clamped at 0".to_owned(), means.clamped)];
-        Frame { counts, budget, diagnostics }
+        Frame { counts, budget, diagnostics, photons: None }
     }
 }
 

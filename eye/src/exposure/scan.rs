@@ -56,7 +56,8 @@ pub fn layers(
             };
             let segments: Vec<Segment> =
                 course.segments(&projector.gaze, shown.index, frame_s, scene.tangent_per_px);
-            layers.push(Layer { light: turns.iter().map(of_pixel).collect(), segments });
+            let light = turns.iter().map(of_pixel).collect();
+            layers.push(Layer { light, segments, course: Some(course) });
         }
     }
     layers.retain(Layer::is_lit);

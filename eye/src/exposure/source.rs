@@ -22,6 +22,8 @@ pub struct Layer {
     pub light: Vec<f64>,
     /// Where the line of sight is meanwhile.
     pub segments: Vec<Segment>,
+    /// When its photons leave; `None` for light of several courses together.
+    pub course: Option<Course>,
 }
 
 /// One frame.
@@ -47,16 +49,25 @@ pub struct Projector {
 impl Projector {
     /// The light of a frame.
     pub fn frame(&self, shown: &Shown, scene: &Scene) -> Source {
+        self.layers(shown, scene, self.gaze.is_still())
+    }
+
+    /// The light of a frame, each course in a layer of its own even when the eye rests.
+    pub fn frame_in_time(&self, shown: &Shown, scene: &Scene) -> Source {
+        self.layers(shown, scene, false)
+    }
+
+    fn layers(&self, shown: &Shown, scene: &Scene, together: bool) -> Source {
         let seconds = 1.0 / self.display.frame_rate_hz;
         let primary = |emitter: &Emitter| {
             let courses = courses(emitter, &self.display, shown.index);
             let photons = emitter.emitted() * self.pupil_share;
-            if self.gaze.is_still() {
+            if together {
                 // The order of light does not matter: one layer.
                 let at = |at: [u32; 2]| frame_light(&self.display, emitter, &courses, shown, at) * photons;
                 let rest = Segment { share: 1.0, decay: 0.0, sight: [DVec2::ZERO; 2] };
                 return SourcePrimary {
-                    layers: vec![Layer { light: window(scene, at), segments: vec![rest] }],
+                    layers: vec![Layer { light: window(scene, at), segments: vec![rest], course: None }],
                 };
             }
             if let Some(scan) = emitter.waveform.scan() {
@@ -66,7 +77,7 @@ impl Projector {
             let layer = |course: &Course| {
                 let at = |at: [u32; 2]| light(&self.display, emitter, course.shows, shown, at) * photons;
                 let segments = course.segments(&self.gaze, shown.index, seconds, scene.tangent_per_px);
-                Layer { light: window(scene, at), segments }
+                Layer { light: window(scene, at), segments, course: Some(course.clone()) }
             };
             SourcePrimary { layers: courses.iter().map(layer).filter(Layer::is_lit).collect() }
         };

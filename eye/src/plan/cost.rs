@@ -1,8 +1,9 @@
 //! Predicted cost: CPU seconds and bytes from the counts that drive them. Constants were measured on one core of a 2026 server.
 
 use super::PlannedTile;
+use super::engine::IMAGES;
 use super::setup::Setup;
-use crate::experiment::{Engine, Experiment};
+use crate::experiment::Experiment;
 use crate::exposure::{KernelSpec, PolarShape};
 use crate::retina::Density;
 
@@ -10,21 +11,6 @@ use crate::retina::Density;
 const SECONDS_PER_CONE: f64 = 11e-6;
 /// CPU seconds per transfer table (field node x wavelength) at 3 mm.
 const SECONDS_PER_TRANSFER: f64 = 2.5e-3;
-/// CPU seconds per drawn photon of the `events` engine.
-const SECONDS_PER_EVENT: f64 = 40e-9;
-/// Share of the photons in the pupil that `events` draws, about.
-const DRAWN_SHARE: f64 = 0.15;
-/// CPU seconds of one table to draw from, 3 mm pupil.
-const SECONDS_PER_TABLE: f64 = 4e-3;
-/// CPU seconds per photon of the `paper` engine.
-const SECONDS_PER_PHOTON: f64 = 0.3e-6;
-/// CPU seconds per point spread of the `paper` engine, at 1024 rays and 128 x 128 samples.
-const SECONDS_PER_SPREAD: f64 = 0.06;
-/// Basis images, about.
-const IMAGES: f64 = 12.0;
-/// CPU seconds per grid sample and basis image.
-const SECONDS_PER_SAMPLE: f64 = 12e-9;
-
 /// A prediction.
 #[derive(Clone, Copy, Debug)]
 pub struct Cost {
@@ -62,28 +48,8 @@ pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile]) ->
     }
     let parts = tiles.len().max(1) as f64;
     let samples = tiles.iter().map(|t| t.scene.samples.iter().product::<usize>() as f64).sum::<f64>();
-    let waves = tiles.first().map_or(0, |t| t.kernels.nodes_nm.len()) as f64;
     let primaries = experiment.display.primaries.len() as f64;
-    let frames = f64::from(experiment.frames);
-    let frame_seconds = match experiment.counts.engine {
-        Engine::Expected => samples * IMAGES * SECONDS_PER_SAMPLE + cones * 1.5e-6,
-        Engine::Events => photons_per_frame(experiment) * DRAWN_SHARE * SECONDS_PER_EVENT,
-        Engine::Paper => photons_per_frame(experiment) * SECONDS_PER_PHOTON,
-    };
-    let prepare_seconds = match experiment.counts.engine {
-        Engine::Expected => cones * 8e-6 + samples * IMAGES * SECONDS_PER_SAMPLE,
-        Engine::Events => {
-            let nodes = (size.x / 200.0 + 2.0) * (size.y / 200.0 + 2.0);
-            cones * 8e-6
-                + nodes * waves * SECONDS_PER_TABLE * (experiment.eye.pupil_mm / 3.0).max(1.0).powi(4)
-        }
-        Engine::Paper => {
-            let rays = f64::from(experiment.counts.paper.rays) / 1024.0;
-            let side = f64::from(experiment.counts.paper.samples) / 128.0;
-            let nodes = (size.x / 300.0 + 2.0) * (size.y / 300.0 + 2.0);
-            nodes * waves * SECONDS_PER_SPREAD * rays * side * side
-        }
-    };
+    let counting = super::engine::cost(experiment.counts.engine, experiment, setup, tiles, cones);
     let cones_bytes = cones * 140.0;
     let images_bytes = samples * IMAGES * (2.0 * primaries + 4.0) + 4.0 * samples * 16.0;
     Cost {
@@ -93,7 +59,7 @@ pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile]) ->
         cones_bytes,
         kernel_seconds,
         kernel_bytes,
-        seconds: tiles_seconds + kernel_seconds + prepare_seconds + frames * frame_seconds,
+        seconds: tiles_seconds + kernel_seconds + counting.seconds(experiment.frames),
         // A worker keeps two tiles.
         bytes: 60e6
             + (2.0 * cones_bytes * tiles_share + cones * 900.0 + 3.0 * kernel_bytes + images_bytes)
@@ -115,7 +81,7 @@ fn kernel_cost(experiment: &Experiment, kernels: &KernelSpec) -> (f64, f64) {
 }
 
 /// Cones in the patch: the target density summed over a grid of 40 x 40 points.
-fn cones_in(setup: &Setup) -> f64 {
+pub(super) fn cones_in(setup: &Setup) -> f64 {
     const STEPS: u32 = 40;
     let target = Density::new(&setup.retina);
     let size = setup.region.max - setup.region.min;
@@ -128,13 +94,4 @@ fn cones_in(setup: &Setup) -> f64 {
         }
     }
     density / f64::from(STEPS * STEPS) * size.x * size.y * 1e-6
-}
-
-/// Photons of a white frame into the pupil.
-fn photons_per_frame(experiment: &Experiment) -> f64 {
-    let display = &experiment.display;
-    let per_pixel = crate::display::emitters(display)
-        .map_or(0.0, |e| e.iter().map(crate::display::Emitter::emitted).sum());
-    let pixels = f64::from(display.width_px) * f64::from(display.height_px);
-    0.5 * per_pixel * pixels * crate::display::pupil_share(display, experiment.eye.pupil_mm)
 }

@@ -2,6 +2,7 @@
 
 mod band;
 mod cost;
+pub mod engine;
 mod error;
 mod omissions;
 pub mod setup;
@@ -31,6 +32,9 @@ pub struct Plan {
     pub experiment: Digest,
     /// `EXPECTED`, `EVENTS` or `PAPER`.
     pub engine: String,
+    /// Why, with the predicted seconds of `EXPECTED` and `EVENTS`.
+    #[serde(default)]
+    pub engine_reason: String,
     /// Retinal rectangle, µm of arc from the foveal centre.
     pub region: RegionUm,
     /// Wavelengths at which the optics are computed, nm.
@@ -129,28 +133,15 @@ const SHARD_FRAMES: u32 = 16;
 pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
     experiment.validate()?;
     let setup = setup::setup(experiment)?;
-    let emitters = emitters(&experiment.display).map_err(PlanError::Model)?;
-    let absorbers = Absorbers {
-        media: Media::new(experiment.eye.lens_density_scale, experiment.eye.macular_peak_density)
-            .map_err(PlanError::Model)?,
-        pigments: Pigments::new().map_err(PlanError::Model)?.with_unbleached(part_unbleached(experiment)),
-    };
-    let tail = WAVELENGTH_TAIL * experiment.accuracy_target;
-    let wavelengths = wavelengths::choose(experiment, &emitters, &absorbers, tail);
-    let tiles = setup
-        .tiles
-        .iter()
-        .map(|region| {
-            let scene = setup.scene(experiment, region)?;
-            let kernels = kernel_spec(experiment, &setup, region, &scene, wavelengths.nodes_nm.clone());
-            Ok(PlannedTile { region: *region, scene, kernels })
-        })
-        .collect::<Result<Vec<_>, PlanError>>()?;
+    let wavelengths = lit_wavelengths(experiment)?;
+    let tiles = planned_tiles(experiment, &setup, &wavelengths.nodes_nm)?;
     let cost = cost::predict(experiment, &setup, &tiles);
     let field_nodes = tiles.iter().map(|t| t.kernels.field_nodes.iter().product::<u32>()).sum();
     let band = tiles.iter().map(|t| t.scene.band).fold(0.0, f64::max);
     let grid = tiles.iter().fold([0, 0], |g, t| [g[0].max(t.scene.samples[0]), g[1].max(t.scene.samples[1])]);
     let error_estimate = error::estimate(experiment, &setup, &tiles, &wavelengths);
+    engine::check_list(experiment, &tiles)?;
+    let engine_reason = engine::reason(experiment, &setup, &tiles, cost.cones);
     let count = tiles.len() as u32;
     let (artifacts, tile_artifacts) = artifacts(&setup, tiles, &cost)?;
     let frames = (0..experiment.frames)
@@ -168,6 +159,7 @@ pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
             Engine::Paper => "PAPER".into(),
             Engine::Events => "EVENTS".into(),
         },
+        engine_reason,
         region: setup.region,
         field_nodes,
         grid: grid.map(|s| s as u32),
@@ -181,6 +173,32 @@ pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
         error_estimate,
         wavelengths_nm: wavelengths.nodes_nm,
     })
+}
+
+/// The wavelengths at which an experiment is computed.
+fn lit_wavelengths(experiment: &Experiment) -> Result<wavelengths::Wavelengths, PlanError> {
+    let emitters = emitters(&experiment.display).map_err(PlanError::Model)?;
+    let absorbers = Absorbers {
+        media: Media::new(experiment.eye.lens_density_scale, experiment.eye.macular_peak_density)
+            .map_err(PlanError::Model)?,
+        pigments: Pigments::new().map_err(PlanError::Model)?.with_unbleached(part_unbleached(experiment)),
+    };
+    let tail = WAVELENGTH_TAIL * experiment.accuracy_target;
+    Ok(wavelengths::choose(experiment, &emitters, &absorbers, tail))
+}
+
+/// The result tiles of an experiment.
+fn planned_tiles(
+    experiment: &Experiment,
+    setup: &Setup,
+    nodes_nm: &[f64],
+) -> Result<Vec<PlannedTile>, PlanError> {
+    let tile = |region: &RegionUm| {
+        let scene = setup.scene(experiment, region)?;
+        let kernels = kernel_spec(experiment, setup, region, &scene, nodes_nm.to_vec());
+        Ok(PlannedTile { region: *region, scene, kernels })
+    };
+    setup.tiles.iter().map(tile).collect()
 }
 
 /// A result tile with what it is computed with.

@@ -1,83 +1,321 @@
 //! Which cone's aperture owns a point of the chart.
 //!
-//! A point on a wall belongs to exactly one of the two cones: the side of a wall is computed from its end points in lexicographic order, with the same
-//! bits for both, and a point on it counts as left of it.
+//! A raster of square bins over the apertures, some 36 in a small one. A bin has a line, with one answer on its left and one on its right: a
+//! bin inside one aperture has the same cone on both sides, one that a wall crosses the cones that it parts. Where more meet, the
+//! answer is a list of walls: for every aperture of the bin those that cut it, and a point inside all of them is inside the aperture.
+//! Apertures are convex.
+//!
+//! A point on a wall belongs to exactly one of the two cones: a wall is a line of the bin, made from its end points in lexicographic
+//! order, with the same bits for both cones, and a point on it counts as left of it.
 
 use glam::DVec2;
 
-use super::grid::Grid;
 use super::mosaic::Retina;
+
+/// Bins in a small aperture, about: one of ten is smaller.
+const BINS_PER_CONE: f64 = 36.0;
+/// Most bins per cone, all in all.
+const MOST_BINS_PER_CONE: f64 = 128.0;
+/// Answer: no aperture.
+const NOBODY: u32 = u32::MAX;
+/// Set in an answer that is a list of walls; the rest is its first wall.
+const LIST: u32 = 1 << 31;
+/// Bins lie in memory in squares of this side, so that neighbours are near.
+const SQUARE: usize = 8;
+/// A line nearer to a bin than this, in bins, is taken to cross it.
+const HAIR: f64 = 1e-5;
+
+/// The aperture is on the right of the wall.
+const RIGHT: u32 = 1;
+/// Last wall of an aperture in a bin.
+const LAST: u32 = 2;
+/// Last wall of a bin.
+const END: u32 = 4;
+/// No wall: the aperture holds the whole bin.
+const WHOLE: u32 = 8;
 
 /// Point location in the apertures of a retina.
 #[derive(Clone, Debug)]
 pub struct ConeIndex {
-    grid: Grid,
-    reach: f64,
-    /// Centre of each cone and the square of its farthest corner's distance.
-    disc: Vec<(DVec2, f64)>,
-    start: Vec<u32>,
-    corner: Vec<DVec2>,
+    first: DVec2,
+    per_um: f64,
+    /// Columns and rows, and squares in a row.
+    side: [usize; 2],
+    squares: usize,
+    /// By bin: its line.
+    bins: Vec<u32>,
+    lines: Vec<Line>,
+    walls: Vec<Wall>,
+}
+
+/// The line of a bin, as a [`Wall`]'s, and the answers left and right of it.
+#[derive(Clone, Copy, Debug)]
+struct Line {
+    normal: [f32; 2],
+    at: f32,
+    answer: [u32; 2],
+}
+
+/// One wall in one bin: the line `normal · p = at`, p in bins from the bin's corner.
+#[derive(Clone, Copy, Debug)]
+struct Wall {
+    normal: [f32; 2],
+    at: f32,
+    /// The cone times 16, and flags.
+    tag: u32,
 }
 
 impl ConeIndex {
     /// An index over the cones of a retina.
     pub fn new(retina: &Retina) -> Self {
-        let centers: Vec<DVec2> = (0..retina.len()).map(|i| retina.center(i)).collect();
-        let mut corner = Vec::with_capacity(retina.polygon_xy.len() / 2);
-        let (mut start, mut reach) = (vec![0], 0.0_f64);
-        let mut disc = Vec::with_capacity(centers.len());
-        for (i, &c) in centers.iter().enumerate() {
-            let mut farthest = 0.0_f64;
-            for p in retina.polygon(i) {
-                farthest = farthest.max((p - c).length());
-                corner.push(p);
-            }
-            reach = reach.max(farthest);
-            // A hair more than the farthest corner, so that rounding excludes nothing.
-            disc.push((c, farthest * farthest * (1.0 + 1e-9)));
-            start.push(corner.len() as u32);
+        let polygons: Vec<Vec<DVec2>> = (0..retina.len()).map(|i| retina.polygon(i).collect()).collect();
+        let (min, max) = polygons
+            .iter()
+            .flatten()
+            .fold((DVec2::MAX, DVec2::MIN), |(min, max), p| (min.min(*p), max.max(*p)));
+        let extent = if min.x <= max.x { (max - min).max(DVec2::splat(1e-6)) } else { DVec2::ONE };
+        let mut areas: Vec<f32> = retina.aperture_um2.iter().copied().filter(|area| *area > 0.0).collect();
+        areas.sort_by(f32::total_cmp);
+        let small = areas.get(areas.len() / 10).map_or(0.0, |area| f64::from(*area)) / BINS_PER_CONE;
+        let least = extent.x * extent.y / (MOST_BINS_PER_CONE * polygons.len().max(1) as f64);
+        let size = small.max(least).min(extent.x * extent.y).sqrt();
+        let side = [extent.x, extent.y].map(|extent| (extent / size) as usize + 1);
+        let squares = side.map(|side| side.div_ceil(SQUARE));
+        let first = if min.x <= max.x { min } else { DVec2::ZERO };
+        let bins = vec![0; squares[0] * squares[1] * SQUARE * SQUARE];
+        let lines = vec![Line::same(NOBODY)];
+        let mut index =
+            Self { first, per_um: 1.0 / size, side, squares: squares[0], bins, lines, walls: Vec::new() };
+        let mut parts: Vec<(u32, Wall)> = Vec::new();
+        for (cone, polygon) in polygons.iter().enumerate().filter(|(_, polygon)| polygon.len() >= 3) {
+            index.add(cone as u32, polygon, &mut parts);
         }
-        Self { grid: Grid::new(&centers, reach), reach, disc, start, corner }
+        index.gather(&parts);
+        index
+    }
+
+    /// Where in memory the bin of a column and row is.
+    #[inline]
+    fn number(&self, column: usize, row: usize) -> usize {
+        let square = row / SQUARE * self.squares + column / SQUARE;
+        square * SQUARE * SQUARE + row % SQUARE * SQUARE + column % SQUARE
+    }
+
+    /// Enters a cone into the bins it touches: its walls go to `parts` with their bin.
+    fn add(&mut self, cone: u32, polygon: &[DVec2], parts: &mut Vec<(u32, Wall)>) {
+        let local: Vec<DVec2> = polygon.iter().map(|p| (*p - self.first) * self.per_um).collect();
+        let (min, max) =
+            local.iter().fold((DVec2::MAX, DVec2::MIN), |(min, max), p| (min.min(*p), max.max(*p)));
+        let [columns, rows] = self.side;
+        let [left, right] = [min.x - HAIR, max.x + HAIR].map(|x| (x as usize).min(columns - 1));
+        let [top, bottom] = [min.y - HAIR, max.y + HAIR].map(|y| (y as usize).min(rows - 1));
+        for row in top..=bottom {
+            for column in left..=right {
+                let corner = DVec2::new(column as f64, row as f64);
+                cut(cone, &local, corner, self.number(column, row) as u32, parts);
+            }
+        }
+    }
+
+    /// Sorts the walls by bin, cones in their order, and makes each bin's line.
+    fn gather(&mut self, parts: &[(u32, Wall)]) {
+        let mut next = vec![0_u32; self.bins.len() + 1];
+        for (bin, _) in parts {
+            next[*bin as usize + 1] += 1;
+        }
+        for bin in 0..self.bins.len() {
+            next[bin + 1] += next[bin];
+        }
+        let mut walls = vec![Wall { normal: [0.0; 2], at: 0.0, tag: 0 }; parts.len()];
+        for (bin, wall) in parts {
+            let slot = &mut next[*bin as usize];
+            walls[*slot as usize] = *wall;
+            *slot += 1;
+        }
+        // Now `next` holds the end of each bin. Cones that hold a whole bin share a line.
+        let mut whole: Vec<u32> = Vec::new();
+        let mut from = 0;
+        for bin in 0..self.bins.len() {
+            let of_bin = &walls[from as usize..next[bin] as usize];
+            from = next[bin];
+            let line = match *of_bin {
+                [] => continue,
+                [a] if a.tag & WHOLE != 0 => {
+                    let cone = (a.tag >> 4) as usize;
+                    if whole.len() <= cone {
+                        whole.resize(cone + 1, 0);
+                    }
+                    if whole[cone] > 0 {
+                        self.bins[bin] = whole[cone];
+                        continue;
+                    }
+                    whole[cone] = self.lines.len() as u32;
+                    Line::same(a.tag >> 4)
+                }
+                [a] => Line::of(a, NOBODY),
+                [a, b] if a.is_back_of(b) => Line::of(a, b.tag >> 4),
+                [.., last] => {
+                    let answer = LIST | self.walls.len() as u32;
+                    self.walls.extend_from_slice(&of_bin[..of_bin.len() - 1]);
+                    self.walls.push(Wall { tag: last.tag | END, ..last });
+                    Line::same(answer)
+                }
+            };
+            self.bins[bin] = self.lines.len() as u32;
+            self.lines.push(line);
+        }
     }
 
     /// The cone whose aperture owns `p`, µm of the chart; `None` between apertures and outside.
+    #[inline]
     pub fn owner(&self, p: DVec2) -> Option<u32> {
-        let mut found = None;
-        self.grid.near(p, self.reach, |i| {
-            if found.is_none() && self.owns(i as usize, p) {
-                found = Some(i);
-            }
-        });
-        found
+        let (bin, at) = self.place(p);
+        self.cone(self.answer(self.line(bin), at), at)
     }
 
-    fn owns(&self, i: usize, p: DVec2) -> bool {
-        let (centre, radius2) = self.disc[i];
-        if (p - centre).length_squared() > radius2 {
-            return false;
+    /// The bin of a point and its place in the bin. Far points, and what is not a number, have a bin that is not there.
+    #[inline]
+    pub(crate) fn place(&self, p: DVec2) -> (u32, [f32; 2]) {
+        let at = (p - self.first) * self.per_um;
+        // What is negative or not a number becomes 0 here.
+        let (column, row) = (at.x as i32, at.y as i32);
+        if !(at.x >= 0.0 && at.y >= 0.0 && column < self.side[0] as i32 && row < self.side[1] as i32) {
+            return (u32::MAX, [0.0; 2]);
         }
-        let corner = &self.corner[self.start[i] as usize..self.start[i + 1] as usize];
-        let n = corner.len();
-        n >= 3 && (0..n).all(|m| is_left(corner[m], corner[(m + 1) % n], p))
+        let inside = [(at.x - f64::from(column)) as f32, (at.y - f64::from(row)) as f32];
+        (self.number(column as usize, row as usize) as u32, inside)
+    }
+
+    /// The line of a bin.
+    #[inline]
+    pub(crate) fn line(&self, bin: u32) -> u32 {
+        self.bins.get(bin as usize).copied().unwrap_or(0)
+    }
+
+    /// What a line says of a place in its bin.
+    #[inline]
+    pub(crate) fn answer(&self, line: u32, at: [f32; 2]) -> u32 {
+        let line = &self.lines[line as usize];
+        let left = line.normal[0] * at[0] + line.normal[1] * at[1] >= line.at;
+        line.answer[usize::from(!left)]
+    }
+
+    /// The cone that an answer means for a place in its bin.
+    #[inline]
+    pub(crate) fn cone(&self, answer: u32, at: [f32; 2]) -> Option<u32> {
+        match answer {
+            NOBODY => None,
+            cone if cone & LIST == 0 => Some(cone),
+            list => self.listed(list & !LIST, at),
+        }
+    }
+
+    /// The first aperture in a list of walls that holds a place.
+    fn listed(&self, first: u32, [x, y]: [f32; 2]) -> Option<u32> {
+        let mut inside = true;
+        for wall in &self.walls[first as usize..] {
+            let left = wall.normal[0] * x + wall.normal[1] * y >= wall.at;
+            inside &= left != (wall.tag & RIGHT != 0);
+            if wall.tag & LAST != 0 {
+                if inside {
+                    return Some(wall.tag >> 4);
+                }
+                if wall.tag & END != 0 {
+                    return None;
+                }
+                inside = true;
+            }
+        }
+        None
     }
 }
 
-/// Whether `p` is left of the wall from `a` to `b`; for the wall from `b` to `a` it is exactly the opposite.
-#[inline]
-fn is_left(a: DVec2, b: DVec2, p: DVec2) -> bool {
-    if (a.x, a.y) < (b.x, b.y) { (b - a).perp_dot(p - a) >= 0.0 } else { (a - b).perp_dot(p - b) < 0.0 }
+impl Line {
+    /// The same answer everywhere.
+    fn same(answer: u32) -> Self {
+        Self { normal: [0.0; 2], at: -1.0, answer: [answer; 2] }
+    }
+
+    /// The cone of a wall on its side and something else on the other.
+    fn of(wall: Wall, other: u32) -> Self {
+        let cone = wall.tag >> 4;
+        let answer = if wall.tag & RIGHT == 0 { [cone, other] } else { [other, cone] };
+        Self { normal: wall.normal, at: wall.at, answer }
+    }
+}
+
+impl Wall {
+    /// Whether this is the other cone's side of a wall.
+    fn is_back_of(self, other: Self) -> bool {
+        let apart = |a: f32, b: f32| f64::from((a - b).abs());
+        (self.tag ^ other.tag) & RIGHT != 0
+            && (self.tag | other.tag) & WHOLE == 0
+            && self.tag >> 4 != other.tag >> 4
+            && apart(self.at, other.at) < HAIR
+            && apart(self.normal[0], other.normal[0]) < HAIR
+            && apart(self.normal[1], other.normal[1]) < HAIR
+    }
+}
+
+/// Adds to `parts` the walls of a polygon (in bins) that cut the bin at `corner`, if the polygon has a part of the bin.
+fn cut(cone: u32, polygon: &[DVec2], corner: DVec2, bin: u32, parts: &mut Vec<(u32, Wall)>) {
+    let before = parts.len();
+    for (m, &from) in polygon.iter().enumerate() {
+        let to = polygon[(m + 1) % polygon.len()];
+        let turned = (from.x, from.y) > (to.x, to.y);
+        let (a, b) = if turned { (to, from) } else { (from, to) };
+        let along = b - a;
+        let length = along.length();
+        if length <= 0.0 {
+            continue;
+        }
+        let normal = DVec2::new(-along.y, along.x) / length;
+        let at = normal.dot(a - corner);
+        // Least and most of normal · p - at over the bin.
+        let (low, high) =
+            (normal.min(DVec2::ZERO).element_sum() - at, normal.max(DVec2::ZERO).element_sum() - at);
+        let (low, high) = if turned { (-high, -low) } else { (low, high) };
+        if high < -0.5 * HAIR {
+            parts.truncate(before);
+            return;
+        }
+        if low <= HAIR {
+            let tag = (cone << 4) | if turned { RIGHT } else { 0 };
+            parts.push((bin, Wall { normal: [normal.x as f32, normal.y as f32], at: at as f32, tag }));
+        }
+    }
+    match parts[before..].last_mut() {
+        Some((_, last)) => last.tag |= LAST,
+        // A line that has every point on its left.
+        None => parts.push((bin, Wall { normal: [0.0; 2], at: -1.0, tag: (cone << 4) | LAST | WHOLE })),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// Two triangles that share a wall: every point of it is in exactly one.
     #[test]
     fn a_point_on_a_wall_has_one_side() {
-        let (a, b) = (DVec2::new(0.1, 0.7), DVec2::new(2.3, -0.4));
+        let (a, b) = (DVec2::new(0.1, 0.7), DVec2::new(2.3, 0.2));
+        let (below, above) = (DVec2::new(1.2, -1.0), DVec2::new(1.2, 2.0));
+        let corner = DVec2::ZERO;
         for k in 0..1_000 {
             let p = a + (b - a) * (f64::from(k) / 999.0);
-            assert_ne!(is_left(a, b, p), is_left(b, a, p));
+            let inside = [[below, b, a], [above, a, b]].map(|polygon| {
+                let mut parts = Vec::new();
+                cut(0, &polygon, corner, 0, &mut parts);
+                // Only the shared wall: the others do not meet rounding here.
+                parts
+                    .iter()
+                    .filter(|(_, wall)| (wall.normal[0] / wall.normal[1] - 0.5 / 2.2).abs() < 1e-5)
+                    .all(|(_, wall)| {
+                        let left = wall.normal[0] * p.x as f32 + wall.normal[1] * p.y as f32 >= wall.at;
+                        left != (wall.tag & RIGHT != 0)
+                    })
+            });
+            assert!(inside[0] != inside[1], "{p}");
         }
     }
 }

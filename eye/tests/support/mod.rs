@@ -83,6 +83,7 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             engine: Engine::Expected,
             poisson: true,
             seed: 7,
+            photon_list: false,
             wavelength_step_nm: None,
             paper: PaperSettings::default(),
         },

@@ -33,6 +33,7 @@ pub fn routes(service: Arc<Service>) -> Router {
         .route("/v1/jobs/{id}/events", get(jobs::events))
         .route("/v1/jobs/{id}/results", get(results::arrow))
         .route("/v1/jobs/{id}/counts.npy", get(results::npy))
+        .route("/v1/jobs/{id}/photons.arrow", get(results::photons))
         .route("/v1/jobs/{id}/cones.arrow", get(results::cones))
         .route("/v1/jobs/{id}/frames/{frame}", get(results::picture))
         .route("/v1/jobs/{id}/report", get(results::report))

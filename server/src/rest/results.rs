@@ -37,6 +37,12 @@ pub(super) async fn npy(State(service): Shared, Path(id): Path<String>) -> Resul
     Ok(([(CONTENT_TYPE, "application/octet-stream")], Body::from_stream(stream)).into_response())
 }
 
+pub(super) async fn photons(State(service): Shared, Path(id): Path<String>) -> Result<Response, Error> {
+    let stream = Arc::clone(&service).photons(id).await?;
+    let kind = [(CONTENT_TYPE, "application/vnd.apache.arrow.stream")];
+    Ok((kind, Body::from_stream(stream)).into_response())
+}
+
 pub(super) async fn cones(State(service): Shared, Path(id): Path<String>) -> Result<Response, Error> {
     let file = service.cones_file(&id, false).await?;
     Ok(([(CONTENT_TYPE, "application/vnd.apache.arrow.file")], file).into_response())

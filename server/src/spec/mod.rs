@@ -6,6 +6,7 @@ mod read;
 mod scene;
 
 use photoneye_eye::experiment::{Counts, Engine, Experiment, PaperSettings, Retina, Video};
+use photoneye_eye::plan::engine::automatic;
 use photoneye_eye::retina::{CellWalls, DensityLaw, Dropout, Generator};
 use photoneye_proto::{FieldError, v1};
 
@@ -28,7 +29,7 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
     });
     let eye = eye::eye(spec.eye.as_deref(), display.distance_cm)?;
     let white_td = display.white_trolands(eye.pupil_mm);
-    let experiment = Experiment {
+    let mut experiment = Experiment {
         eye,
         retina: retina(spec.retina.as_ref(), white_td)?,
         display,
@@ -39,6 +40,10 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
         frames,
     };
     experiment.validate().map_err(field_error)?;
+    if is_auto(spec.counts.as_ref()) {
+        // What cannot be planned is refused by the plan, which says why.
+        experiment.counts.engine = automatic(&experiment).unwrap_or(Engine::Expected);
+    }
     Ok(experiment)
 }
 
@@ -125,12 +130,17 @@ fn cone_ratio(spec: v1::ConeRatio) -> Result<[f64; 3], FieldError> {
     Ok(shares.map(|share| share / scale))
 }
 
+fn is_auto(spec: Option<&v1::Counts>) -> bool {
+    spec.is_none_or(|counts| counts.engine() == v1::counts::Engine::Auto)
+}
+
 fn counts(spec: Option<&v1::Counts>) -> Result<Counts, FieldError> {
     use v1::counts::{Engine as E, Noise as N};
     let spec = spec.copied().unwrap_or_default();
     let settings = spec.settings.unwrap_or_default();
     let paper = PaperSettings::default();
     let engine = match choice("counts.engine", spec.engine, E::Auto, E::as_str_name)? {
+        // AUTO is decided when all else is known.
         E::Auto | E::Expected => Engine::Expected,
         E::Events => Engine::Events,
         E::Paper => Engine::Paper,
@@ -144,6 +154,7 @@ fn counts(spec: Option<&v1::Counts>) -> Result<Counts, FieldError> {
         engine,
         poisson,
         seed: spec.seed.unwrap_or(1),
+        photon_list: spec.photon_list.unwrap_or(false),
         wavelength_step_nm: settings.wavelength_step_nm,
         paper: PaperSettings {
             rays: settings.paper_rays.unwrap_or(paper.rays),

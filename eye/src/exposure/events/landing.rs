@@ -3,7 +3,6 @@
 
 use glam::{DMat2, DVec2};
 
-use crate::exposure::light::Segment;
 use crate::exposure::scene::Scene;
 use crate::optics::Projection;
 use crate::psf::least_squares::LeastSquares;
@@ -36,8 +35,10 @@ pub(super) struct Patch {
     /// Screen tangent of its corner, and per pixel unit.
     corner: DVec2,
     per_px: DVec2,
-    /// Middle of places and times; its image, and the image's change. `None`: too large, ask the polynomial.
-    affine: Option<(DVec2, DVec2, DMat2)>,
+    /// Image of the corner and change per pixel unit. `None`: too large, ask the polynomial.
+    affine: Option<(DVec2, DMat2)>,
+    /// Whether all of it is seen near the cones.
+    near: bool,
 }
 
 impl Landing {
@@ -89,27 +90,39 @@ impl Landing {
         [self.middle - self.half, self.middle + self.half]
     }
 
-    /// The pixel whose top left corner is given, while the line of sight moves.
-    pub(super) fn patch(&self, scene: &Scene, corner_px: DVec2, segments: &[Segment]) -> Patch {
+    /// The pixel whose top left corner is given, while the line of sight moves within bounds (pixels from the gaze centre).
+    pub(super) fn patch(&self, scene: &Scene, corner_px: DVec2, [low, high]: [DVec2; 2]) -> Patch {
         let corner = scene.tangent(corner_px);
         let per_px = scene.tangent(corner_px + 1.0) - corner;
-        let (low, high) = crate::exposure::bounds(segments.iter().flat_map(|s| s.sight));
         let middle = corner + per_px * (0.5 - 0.5 * (low + high));
         let reach = (0.5 + 0.5 * (high - low)).length() * scene.tangent_per_px;
-        let affine =
-            (reach < AFFINE && self.holds(middle)).then(|| (middle, self.um(middle), self.jacobian(middle)));
-        Patch { corner, per_px, affine }
+        let affine = (reach < AFFINE && self.holds(middle)).then(|| {
+            let jacobian = self.jacobian(middle);
+            (self.um(middle) + jacobian * (corner - middle), jacobian * DMat2::from_diagonal(per_px))
+        });
+        // A pixel of room for misregistered rectangles and spots.
+        let near = self.holds(corner + per_px * (-1.0 - high)) && self.holds(corner + per_px * (2.0 - low));
+        Patch { corner, per_px, affine, near }
     }
 }
 
 impl Patch {
-    /// Image of a place (pixel units from the corner) under a line of sight (pixels from the gaze centre), µm; `None` when it is seen
-    /// far from all cones.
-    pub(super) fn landing(&self, landing: &Landing, place: DVec2, sight: DVec2) -> Option<DVec2> {
-        let seen = self.corner + self.per_px * (place - sight);
-        landing.holds(seen).then(|| match &self.affine {
-            Some((middle, um, jacobian)) => *um + *jacobian * (seen - *middle),
-            None => landing.um(seen),
-        })
+    /// Image of a place (pixel units from the corner) less the line of sight (pixels from the gaze centre), µm; not a number when it
+    /// is seen far from all cones.
+    #[inline]
+    pub(super) fn landing(&self, landing: &Landing, from_sight: DVec2) -> DVec2 {
+        match &self.affine {
+            Some((um, by)) if self.near => *um + *by * from_sight,
+            _ => self.far(landing, from_sight),
+        }
+    }
+
+    #[cold]
+    fn far(&self, landing: &Landing, from_sight: DVec2) -> DVec2 {
+        let seen = self.corner + self.per_px * from_sight;
+        if !landing.holds(seen) {
+            return DVec2::NAN;
+        }
+        self.affine.as_ref().map_or_else(|| landing.um(seen), |(um, by)| *um + *by * from_sight)
     }
 }

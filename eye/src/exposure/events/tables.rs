@@ -3,60 +3,103 @@
 use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 
+use super::dice::{CELL, JITTER_NODE, Words};
 use super::landing::Landing;
+use super::list::Wavelengths;
 use super::spread::Spread;
+use crate::experiment::Experiment;
 use crate::exposure::cones::ConeTable;
 use crate::exposure::expected::ARRIVING;
 use crate::exposure::inputs::Inputs;
-use crate::exposure::spectral::KINDS;
+use crate::exposure::spectral::{KINDS, Share};
 use crate::exposure::transfer::{FieldPoint, spot_radius_um, wavefronts};
 use crate::psf::Wavefront;
 
 /// Steps of eccentricity between which weights are interpolated.
-const ECC_STEPS: usize = 32;
+pub(super) const ECC_STEPS: usize = 32;
 /// Largest distance of field nodes, visual degrees, for targets down to 0.5 % and below.
 const NODE_DEG: [f64; 2] = [0.7, 0.35];
 
 /// Optics at one field node and wavelength.
 pub(super) struct Node {
-    /// Landing point against that at the reference wavelength, µm.
-    pub(super) shift_um: DVec2,
-    /// A step on the chart from one along the retina's tangents.
-    pub(super) chart_from_tangents: DMat2,
-    /// The point spread.
-    pub(super) spread: Spread,
+    /// From the landing point at the reference wavelength to the first corner of the point spread's core, µm.
+    corner_um: DVec2,
+    /// A step on the chart, µm, from one over a cell of the point spread.
+    step_um: DMat2,
+    /// The point spread, its core apart.
+    spread: Spread,
+    /// Where its core begins.
+    core: u32,
+}
+
+/// One cone's place among the weights.
+#[derive(Clone, Copy)]
+struct Cone {
+    kind: u32,
+    below: u32,
+    t: f32,
+    pointing: f32,
+}
+
+/// What a photon draws from the point spreads: field node, entry of the core, and bits for the cell and the place in it.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Drawn {
+    pub(super) node: u32,
+    pub(super) entry: u32,
+    bits: u32,
+    jitter: u32,
+}
+
+/// In place of an entry: outside the core.
+const OUTSIDE: u32 = u32::MAX;
+
+/// Which weights a cone counts with: its kind, and its place between two steps of eccentricity.
+pub(super) struct Caught {
+    pub(super) kind: usize,
+    pub(super) below: usize,
+    pub(super) t: f32,
 }
 
 /// What becomes of a drawn photon that has landed on a cone.
 pub(super) struct Odds {
-    /// Probability that it is counted.
-    pub(super) counted: f64,
+    /// Probability that it is counted, of 2^32.
+    pub(super) counted: u32,
     /// Arriving photons it stands for.
-    pub(super) arrived: f64,
+    pub(super) arrived: f32,
     /// Of those, the guided ones.
-    pub(super) guided: f64,
+    pub(super) guided: f32,
 }
 
-/// One cone's place among the weights.
-struct Cone {
-    kind: usize,
-    ecc: (usize, f32),
-    pointing: f32,
+/// Weights of one kind by step of eccentricity.
+type Weights = [f32; ECC_STEPS + 1];
+
+/// What is needed of one primary near one wavelength node.
+pub(super) struct Beam<'a> {
+    tables: &'a Tables,
+    nodes: &'a [Node],
+    cores: &'a [u32],
+    /// By field node: odds per weight.
+    per_weight: Vec<f32>,
+    weights: &'a [Weights; KINDS.len()],
 }
 
 /// The tables.
 pub(super) struct Tables {
-    /// First node and step on the retina, µm, and their number along each side.
+    /// First node on the retina, µm, steps per µm, and the number of nodes along each side.
     first_um: DVec2,
-    step_um: DVec2,
+    per_um: DVec2,
     side: [usize; 2],
     /// `[wave][node]`.
     nodes: Vec<Vec<Node>>,
+    /// `[wave]`: the cores of the nodes' point spreads, one after the other.
+    cores: Vec<Vec<u32>>,
     /// `[primary][wave][kind][eccentricity]`: share of the primary's photons that is caught.
-    weights: Vec<Vec<Vec<[f32; ECC_STEPS + 1]>>>,
+    weights: Vec<Vec<[Weights; KINDS.len()]>>,
     /// `[primary][wave]`: the most that any cone counts.
     most: Vec<Vec<f64>>,
     cones: Vec<Cone>,
+    /// `[primary][wave]`, when photons are listed.
+    wavelengths: Vec<Vec<Wavelengths>>,
 }
 
 impl Tables {
@@ -68,7 +111,7 @@ impl Tables {
         inputs: &Inputs,
         cones: &ConeTable,
         landing: &Landing,
-        target: f64,
+        experiment: &Experiment,
     ) -> Result<Self, String> {
         let Inputs { kernels, retina, .. } = inputs;
         let spec = kernels.spec();
@@ -78,7 +121,7 @@ impl Tables {
         let ecc = |step: usize| ecc_from + (ecc_to - ecc_from) * step as f64 / ECC_STEPS as f64;
         let waves = spec.nodes_nm.len();
         let of_primary = |shares: &Vec<_>| {
-            let mut weights = vec![vec![[0.0; ECC_STEPS + 1]; KINDS.len()]; waves];
+            let mut weights = vec![[[0.0; ECC_STEPS + 1]; KINDS.len()]; waves];
             for (k, kind) in KINDS.into_iter().enumerate() {
                 for step in 0..=ECC_STEPS {
                     let caught = absorbers.weights(shares, &spec.nodes_nm, kind, ecc(step), kernels.paths());
@@ -89,7 +132,7 @@ impl Tables {
             }
             weights
         };
-        let weights: Vec<Vec<Vec<[f32; ECC_STEPS + 1]>>> = shares.par_iter().map(of_primary).collect();
+        let weights: Vec<Vec<[Weights; KINDS.len()]>> = shares.par_iter().map(of_primary).collect();
         let cones: Vec<Cone> = cones
             .cones
             .iter()
@@ -97,32 +140,45 @@ impl Tables {
                 let at = ((cone.ecc_deg - ecc_from) / (ecc_to - ecc_from).max(1e-12)).clamp(0.0, 1.0)
                     * ECC_STEPS as f64;
                 let below = (at as usize).min(ECC_STEPS - 1);
-                let ecc = (below, (at - below as f64) as f32);
-                Cone { kind: cone.cone_type as usize, ecc, pointing: cone.pointing as f32 }
+                let t = (at - below as f64) as f32;
+                let (kind, pointing) = (cone.cone_type as u32, cone.pointing as f32);
+                Cone { kind, below: below as u32, t, pointing }
             })
             .collect();
         let pointing = cones.iter().map(|cone| cone.pointing).fold(0.0, f32::max);
+
+        let wavelengths = if experiment.counts.photon_list {
+            let near = |shares: &Vec<Share>, node: usize| {
+                Wavelengths::new(&absorbers, shares, (&spec.nodes_nm, node), ecc, kernels.paths())
+            };
+            shares.par_iter().map(|shares| (0..waves).map(|node| near(shares, node)).collect()).collect()
+        } else {
+            Vec::new()
+        };
 
         // Nodes evenly over the retina that the window is imaged on and the cones lie on.
         let [from, to] = landing.bounds();
         let (low, high) = (landing.um(from), landing.um(to));
         let (min, max) = (low.min(high).max(retina.region.min), low.max(high).min(retina.region.max));
-        let finest = NODE_DEG[usize::from(target < 0.005)] * 287.0;
+        let finest = NODE_DEG[usize::from(experiment.accuracy_target < 0.005)] * 287.0;
         let side = [0, 1].map(|axis| ((max[axis] - min[axis]).max(0.0) / finest).ceil() as usize + 1);
         let step_um =
             DVec2::from_array([0, 1].map(|axis| (max[axis] - min[axis]) / (side[axis] - 1).max(1) as f64));
-        let nodes = trace(inputs, min, step_um, side)?;
+        let mut nodes = trace(inputs, min, step_um, side)?;
+        let cores = nodes.iter_mut().map(|nodes| joined(nodes)).collect();
         let accepted = nodes.iter().flatten().map(|node| node.spread.accepted).fold(0.0, f64::max);
         let most = weights
             .iter()
-            .map(|waves: &Vec<Vec<[f32; ECC_STEPS + 1]>>| {
-                let of = |kinds: &Vec<[f32; ECC_STEPS + 1]>| {
+            .map(|waves: &Vec<[Weights; KINDS.len()]>| {
+                let of = |kinds: &[Weights; KINDS.len()]| {
                     kinds[..ARRIVING].iter().flatten().copied().fold(0.0, f32::max)
                 };
                 waves.iter().map(|kinds| f64::from(of(kinds) * pointing) * accepted).collect()
             })
             .collect();
-        Ok(Self { first_um: min, step_um, side, nodes, weights, most, cones })
+        let per_um =
+            DVec2::from_array([0, 1].map(|axis| if side[axis] > 1 { 1.0 / step_um[axis] } else { 0.0 }));
+        Ok(Self { first_um: min, per_um, side, nodes, cores, weights, most, cones, wavelengths })
     }
 
     /// Number of wavelength nodes.
@@ -140,31 +196,102 @@ impl Tables {
         self.most[primary][wave]
     }
 
-    /// One of the four nodes around a place of the retina, by chance, with bilinear weights.
-    pub(super) fn node(&self, um: DVec2, wave: usize, chance: DVec2) -> &Node {
-        let along = |axis: usize| {
-            let last = self.side[axis] - 1;
-            if last == 0 {
-                return 0;
-            }
-            let at = ((um[axis] - self.first_um[axis]) / self.step_um[axis]).clamp(0.0, last as f64);
-            ((at + chance[axis]) as usize).min(last)
+    /// Wavelengths of a primary near a node, when photons are listed.
+    pub(super) fn wavelengths(&self, primary: usize, wave: usize) -> Option<&Wavelengths> {
+        self.wavelengths.get(primary).and_then(|waves| waves.get(wave))
+    }
+
+    /// A primary's light near a wavelength node.
+    pub(super) fn beam(&self, primary: usize, wave: usize) -> Beam<'_> {
+        let nodes = &self.nodes[wave];
+        let most = self.most[primary][wave];
+        let per_weight = nodes.iter().map(|node| (node.spread.accepted / most) as f32).collect();
+        Beam {
+            tables: self,
+            nodes,
+            cores: &self.cores[wave],
+            per_weight,
+            weights: &self.weights[primary][wave],
+        }
+    }
+
+    /// One of the four nodes around a place of the retina, by chance (two numbers of 2^16), with bilinear weights.
+    #[inline]
+    fn node(&self, um: DVec2, chance: u32) -> usize {
+        const UNIT: f64 = 1.0 / 65_536.0;
+        let along = |axis: usize, chance: u32| {
+            let last = (self.side[axis] - 1) as f64;
+            // A place that is not a number is on node 0.
+            let at = ((um[axis] - self.first_um[axis]) * self.per_um[axis]).max(0.0).min(last);
+            (at + f64::from(chance) * UNIT).min(last) as usize
         };
-        &self.nodes[wave][along(1) * self.side[0] + along(0)]
+        along(1, chance >> 16) * self.side[0] + along(0, chance & 0xFFFF)
+    }
+}
+
+impl Beam<'_> {
+    /// What a photon seen at a place takes from the point spreads.
+    #[inline]
+    pub(super) fn spread(&self, um: DVec2, words: Words, photon: u64) -> Drawn {
+        let other = words.of(photon, JITTER_NODE);
+        let node = self.tables.node(um, (other >> 32) as u32);
+        let bits = words.of(photon, CELL);
+        let Node { spread, core, .. } = &self.nodes[node];
+        let inside = (bits >> 32) as u32 >= spread.outside;
+        let entry = if inside { core + spread.entry(bits as u32) } else { OUTSIDE };
+        Drawn { node: node as u32, entry, bits: bits as u32, jitter: other as u32 }
+    }
+
+    /// What an entry of the cores holds.
+    #[inline]
+    pub(super) fn held(&self, entry: u32) -> u32 {
+        self.cores.get(entry as usize).copied().unwrap_or(0)
+    }
+
+    /// Where a photon lands, µm, from where its chief ray at the reference wavelength does.
+    #[inline]
+    pub(super) fn landed(&self, um: DVec2, drawn: &Drawn, held: u32, words: Words, photon: u64) -> DVec2 {
+        const UNIT: f64 = 1.0 / 65_536.0;
+        let node = &self.nodes[drawn.node as usize];
+        let place = if drawn.entry == OUTSIDE {
+            node.spread.draw_outside(&mut words.more(photon, 0))
+        } else {
+            let (row, column) = node.spread.place(drawn.bits, held);
+            let jitter = [drawn.jitter & 0xFFFF, drawn.jitter >> 16].map(|j| (f64::from(j) + 0.5) * UNIT);
+            DVec2::new(f64::from(row) + jitter[0], f64::from(column) + jitter[1])
+        };
+        um + node.corner_um + node.step_um * place
+    }
+
+    /// Which weights a cone counts with.
+    pub(super) fn caught(&self, cone: u32) -> Caught {
+        let Cone { kind, below, t, .. } = self.tables.cones[cone as usize];
+        Caught { kind: kind as usize, below: below as usize, t }
     }
 
     /// What a cone does with a drawn photon that has landed on it.
-    pub(super) fn odds(&self, cone: usize, primary: usize, wave: usize, node: &Node) -> Odds {
-        let cone = &self.cones[cone];
-        let kinds = &self.weights[primary][wave];
-        let per_drawn = node.spread.accepted / self.most[primary][wave];
-        let at = |kind: usize| {
-            let (below, t) = cone.ecc;
-            f64::from(kinds[kind][below] * (1.0 - t) + kinds[kind][below + 1] * t) * per_drawn
+    #[inline]
+    pub(super) fn odds(&self, cone: u32, node: u32) -> Odds {
+        let Cone { kind, below, t, pointing } = self.tables.cones[cone as usize];
+        let per_weight = self.per_weight[node as usize];
+        let at = |weights: &Weights| {
+            let (low, high) = (weights[below as usize], weights[below as usize + 1]);
+            (low + (high - low) * t) * per_weight
         };
-        let (pointing, arrived) = (f64::from(cone.pointing), at(ARRIVING));
-        Odds { counted: at(cone.kind) * pointing, arrived, guided: arrived * pointing }
+        let arrived = at(&self.weights[ARRIVING]);
+        let counted = at(&self.weights[kind as usize]) * pointing;
+        Odds { counted: (counted * 4_294_967_296.0) as u32, arrived, guided: arrived * pointing }
     }
+}
+
+/// The cores of some nodes in one table.
+fn joined(nodes: &mut [Node]) -> Vec<u32> {
+    let mut cores = Vec::new();
+    for node in nodes {
+        node.core = cores.len() as u32;
+        cores.append(&mut node.spread.take_core());
+    }
+    cores
 }
 
 /// `[wave][node]`.
@@ -186,10 +313,11 @@ fn trace(
         .par_iter()
         .map(|point| {
             let waves = wavefronts(projection, point, &spec.nodes_nm, spec.stiles_crawford_rho10_per_mm2)?;
-            let node = |wavefront: &Wavefront| Node {
-                shift_um: wavefront.landing_um - point.landing_um,
-                chart_from_tangents: point.chart_from_tangents(),
-                spread: Spread::new(wavefront, spot_radius_um(wavefront)),
+            let node = |wavefront: &Wavefront| {
+                let spread = Spread::new(wavefront, spot_radius_um(wavefront));
+                let step_um = point.chart_from_tangents() * spread.pitch_um;
+                let shift_um = wavefront.landing_um - point.landing_um;
+                Node { corner_um: shift_um + step_um * spread.corner(), step_um, spread, core: 0 }
             };
             Ok(waves.par_iter().map(node).collect())
         })

@@ -1,0 +1,173 @@
+//! What each engine costs in a scene, and which one `AUTO` takes. The only place where that is decided.
+//!
+//! A prediction is a function of the experiment alone: its constants were measured once, on one core of a 2026 server, and are never
+//! adapted to a machine, so whoever runs an experiment again gets the same engine and the same counts.
+//!
+//! `events`: `photons · share · seconds an event + tables + pieces of work`; `expected`: the same for any light.
+
+use super::setup::{Setup, setup};
+use super::{PlanError, PlannedTile, lit_wavelengths, planned_tiles};
+use crate::experiment::{Engine, Experiment, RangeError};
+
+/// CPU seconds per drawn photon of the `events` engine.
+const SECONDS_PER_EVENT: f64 = 50e-9;
+/// Share of the photons in the pupil that `events` draws, about.
+const DRAWN_SHARE: f64 = 0.15;
+/// Share of a white screen's light in a picture, about.
+const LIT_SHARE: f64 = 0.5;
+/// CPU seconds of one table to draw from, 3 mm pupil.
+const SECONDS_PER_TABLE: f64 = 4e-3;
+/// CPU seconds of one piece of work, a block of 64 pixels near one wavelength of one primary.
+const SECONDS_PER_PIECE: f64 = 0.5e-6;
+/// CPU seconds of one pixel's place on the retina.
+const SECONDS_PER_PLACE: f64 = 0.3e-6;
+/// CPU seconds per photon of the `paper` engine.
+const SECONDS_PER_PHOTON: f64 = 0.3e-6;
+/// CPU seconds per point spread of the `paper` engine, at 1024 rays and 128 x 128 samples.
+const SECONDS_PER_SPREAD: f64 = 0.06;
+/// CPU seconds per cone that is made ready.
+const SECONDS_PER_READY_CONE: f64 = 8e-6;
+/// CPU seconds per cone and frame of the `expected` engine.
+const SECONDS_PER_MEAN: f64 = 1.5e-6;
+/// CPU seconds per cone and frame of counts that are gathered.
+const SECONDS_PER_COUNT: f64 = 20e-9;
+/// Basis images, about.
+pub(super) const IMAGES: f64 = 12.0;
+/// CPU seconds per grid sample and basis image.
+const SECONDS_PER_SAMPLE: f64 = 12e-9;
+/// `AUTO` takes `EVENTS` when it is predicted to take less than this share of what `EXPECTED` does.
+const CLEARLY: f64 = 0.5;
+
+/// Most photons that are listed, all frames, and in a frame.
+const MAX_LISTED: f64 = 50e6;
+const MAX_LISTED_IN_FRAME: f64 = 600e3;
+
+/// What an engine costs beside the artifacts that all need, CPU seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct EngineCost {
+    prepare: f64,
+    frame: f64,
+}
+
+impl EngineCost {
+    /// Of all frames.
+    pub(super) fn seconds(self, frames: u32) -> f64 {
+        self.prepare + f64::from(frames) * self.frame
+    }
+}
+
+/// The engine that `AUTO` takes for an experiment.
+///
+/// # Errors
+/// Those of [`super::plan`].
+pub fn automatic(experiment: &Experiment) -> Result<Engine, PlanError> {
+    if !experiment.counts.poisson || experiment.eye.stray_light.is_some() {
+        return Ok(Engine::Expected);
+    }
+    let mut experiment = experiment.clone();
+    experiment.counts.engine = Engine::Expected;
+    experiment.validate()?;
+    let setup = setup(&experiment)?;
+    let wavelengths = lit_wavelengths(&experiment)?;
+    let tiles = planned_tiles(&experiment, &setup, &wavelengths.nodes_nm)?;
+    let cones = super::cost::cones_in(&setup);
+    let [expected, events] = both(&experiment, &setup, &tiles, cones);
+    Ok(if events < CLEARLY * expected { Engine::Events } else { Engine::Expected })
+}
+
+/// Whether the list of counted photons is as long as is served.
+///
+/// # Errors
+/// With the predicted number, a bound for a white picture.
+pub(super) fn check_list(experiment: &Experiment, tiles: &[PlannedTile]) -> Result<(), RangeError> {
+    if !experiment.counts.photon_list {
+        return Ok(());
+    }
+    let pixels = |t: &PlannedTile| t.scene.size_px.iter().map(|s| f64::from(*s)).product::<f64>();
+    let per_pixel = photons_per_pixel(experiment) / LIT_SHARE * DRAWN_SHARE;
+    let most = tiles.iter().map(pixels).fold(0.0, f64::max) * per_pixel;
+    let all = tiles.iter().map(pixels).sum::<f64>() * per_pixel * f64::from(experiment.frames);
+    if most > MAX_LISTED_IN_FRAME || all > MAX_LISTED {
+        let value = format!("true with up to {all:.0} photons, {most:.0} in a frame");
+        let allowed = format!(
+            "true with at most {MAX_LISTED:.0} photons, {MAX_LISTED_IN_FRAME:.0} in a frame and tile"
+        );
+        return Err(RangeError::new("counts.photon_list", value, &allowed));
+    }
+    Ok(())
+}
+
+/// Why an engine counts an experiment, for people.
+pub(super) fn reason(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], cones: f64) -> String {
+    let [expected, events] = both(experiment, setup, tiles, cones);
+    let counts = &experiment.counts;
+    let why = match counts.engine {
+        Engine::Paper => "asked for",
+        Engine::Expected if !counts.poisson => "means are asked for",
+        Engine::Expected if experiment.eye.stray_light.is_some() => "it has the stray light",
+        Engine::Expected if events < CLEARLY * expected => "asked for",
+        Engine::Events if events >= CLEARLY * expected => "asked for",
+        Engine::Expected => "EVENTS is not clearly faster",
+        Engine::Events => "clearly faster",
+    };
+    format!("{why}; predicted seconds of counting: EXPECTED {expected:.3}, EVENTS {events:.3}")
+}
+
+/// Predicted seconds of `expected` and `events`, all frames.
+fn both(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], cones: f64) -> [f64; 2] {
+    [Engine::Expected, Engine::Events]
+        .map(|engine| cost(engine, experiment, setup, tiles, cones).seconds(experiment.frames))
+}
+
+/// What an engine costs.
+pub(super) fn cost(
+    engine: Engine,
+    experiment: &Experiment,
+    setup: &Setup,
+    tiles: &[PlannedTile],
+    cones: f64,
+) -> EngineCost {
+    let size = setup.region.max - setup.region.min;
+    let nodes = |um: f64| (size.x / um + 2.0) * (size.y / um + 2.0);
+    let waves = tiles.first().map_or(0, |t| t.kernels.nodes_nm.len()) as f64;
+    let ready = cones * SECONDS_PER_READY_CONE;
+    match engine {
+        Engine::Expected => {
+            let samples: f64 = tiles.iter().map(|t| t.scene.samples.iter().product::<usize>() as f64).sum();
+            let images = samples * IMAGES * SECONDS_PER_SAMPLE;
+            EngineCost { prepare: ready + images, frame: images + cones * SECONDS_PER_MEAN }
+        }
+        Engine::Events => {
+            let spread_um = if experiment.accuracy_target < 0.005 { 100.0 } else { 200.0 };
+            let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0).powi(4);
+            let pixels: f64 =
+                tiles.iter().map(|t| t.scene.size_px.iter().map(|s| f64::from(*s)).product::<f64>()).sum();
+            let layers = experiment.display.primaries.len() as f64;
+            let drawn = photons_per_pixel(experiment) * pixels * DRAWN_SHARE;
+            EngineCost {
+                prepare: ready + nodes(spread_um) * waves * SECONDS_PER_TABLE * pupil,
+                frame: drawn * SECONDS_PER_EVENT
+                    + pixels * layers * (SECONDS_PER_PLACE + waves / 64.0 * SECONDS_PER_PIECE)
+                    + cones * SECONDS_PER_COUNT,
+            }
+        }
+        Engine::Paper => {
+            let rays = f64::from(experiment.counts.paper.rays) / 1024.0;
+            let side = f64::from(experiment.counts.paper.samples) / 128.0;
+            let display = &experiment.display;
+            let pixels = f64::from(display.width_px) * f64::from(display.height_px);
+            EngineCost {
+                prepare: nodes(300.0) * waves * SECONDS_PER_SPREAD * rays * side * side,
+                frame: photons_per_pixel(experiment) * pixels * SECONDS_PER_PHOTON,
+            }
+        }
+    }
+}
+
+/// Photons from a pixel into the pupil in a frame, about.
+fn photons_per_pixel(experiment: &Experiment) -> f64 {
+    let display = &experiment.display;
+    let emitted = crate::display::emitters(display)
+        .map_or(0.0, |e| e.iter().map(crate::display::Emitter::emitted).sum());
+    LIT_SHARE * emitted * crate::display::pupil_share(display, experiment.eye.pupil_mm)
+}
