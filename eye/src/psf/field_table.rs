@@ -9,7 +9,7 @@
 //! 6e-3 at 3 mm; see the test.
 //!
 //! # Cost
-//! One [`Wavefront`] a node and traced wavelength: 9 for a polyline of three pieces, 8 for a smooth law.
+//! One [`Wavefront`] a node and traced wavelength: 12 for a polyline of three pieces, 8 for a smooth law.
 
 use glam::DVec2;
 use rayon::prelude::*;

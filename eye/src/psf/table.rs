@@ -16,7 +16,7 @@ use std::f64::consts::PI;
 
 /// Traced wavelengths of a smooth law, and in one straight piece of a polyline.
 const NODES: usize = 8;
-const NODES_STRAIGHT: usize = 3;
+const NODES_STRAIGHT: usize = 4;
 
 /// Wavefronts of one object point over a range of wavelengths.
 #[derive(Clone, Debug)]
