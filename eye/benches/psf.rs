@@ -6,7 +6,9 @@ use glam::DVec2;
 use photoneye_eye::optics::{
     Dispersion, EyeState, Object, OpticsError, Prescription, Projection, SchematicEye, Side,
 };
-use photoneye_eye::psf::{HuygensOptions, Otf, PsfGrid, Wavefront, WavefrontOptions, huygens, psf};
+use photoneye_eye::psf::{
+    FieldTable, HuygensOptions, Otf, PsfGrid, Wavefront, WavefrontOptions, WavefrontTable, huygens, psf,
+};
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -61,7 +63,53 @@ fn main() -> Result<(), OpticsError> {
             );
         }
     }
+    tables(&p)?;
     projection(&p)
+}
+
+/// Images of 45 wavelengths at one field point with their wavefronts, beside the direct sum; and wavefronts of a field.
+#[allow(clippy::print_stdout)] // a bench prints its table
+fn tables(p: &Prescription) -> Result<(), OpticsError> {
+    let options = WavefrontOptions::default();
+    let wavelengths: Vec<f64> = (0..45).map(|i| 390.0 + 10.0 * f64::from(i)).collect();
+    for pupil_mm in [3.0, 6.0] {
+        for dispersion in [Dispersion::Polyline, Dispersion::Herzberger] {
+            let state =
+                EyeState { pupil_mm, decentre_mm: 0.4, accommodation_a: 0.0, dispersion, side: Side::Right };
+            let eye = SchematicEye::new(p, &state)?;
+            let object = Object::field(5.0, 0.0)?;
+            let grid = PsfGrid::new(128, 10.0);
+            let waves = || WavefrontTable::spectrum(&eye, object, &wavelengths, &options);
+            let table = || waves().map(|waves| waves.iter().map(|w| psf(w, &grid)).collect::<Vec<_>>());
+            let (fast, wavefronts) = (best(3, table), best(5, waves));
+            println!(
+                "{pupil_mm} mm, {dispersion:?}: 45 wavelengths, wavefronts {:.1} ms, with images 128 x 128 {:.1} ms",
+                1e3 * wavefronts,
+                1e3 * fast
+            );
+            if dispersion == Dispersion::Herzberger {
+                let rays = HuygensOptions { radial: 16, azimuth: 64, exact_distance: true };
+                let slow = best(1, || huygens::psf(&eye, object, 543.0, &options, &rays, &grid));
+                println!("  direct sum, 1024 rays, all cores, times 45: {:.0} ms", 45e3 * slow);
+            }
+            let screen = Projection::new(&eye, f64::INFINITY)?;
+            for (half_deg, nodes) in [(1.0_f64, 3), (2.5, 4), (30.0, 9)] {
+                let half = DVec2::splat(half_deg.to_radians().tan());
+                let field = || FieldTable::new(&screen, [-half, half], [nodes; 2], [390.0, 830.0], &options);
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+                let Ok(pool) = pool else { continue };
+                let built = pool.install(|| best(2, field));
+                let made = field()?;
+                let one = best(20, || made.at(0.3 * half, 555.0));
+                println!(
+                    "  field of ±{half_deg}°, {nodes} x {nodes} nodes: {:.1} ms; a wavefront of it {:.0} µs",
+                    1e3 * built,
+                    1e6 * one
+                );
+            }
+        }
+    }
+    Ok(())
 }
 
 #[allow(clippy::print_stdout)] // a bench prints its table

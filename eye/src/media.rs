@@ -81,7 +81,12 @@ impl Media {
 
     /// Transmittance of the lens; `path` = path length relative to the axial thickness.
     pub fn lens(&self, nm: f64, path: f64) -> f64 {
-        transmittance(self.scale * path * self.lens.at(nm).max(0.0))
+        transmittance(path * self.lens_density(nm))
+    }
+
+    /// Density of the lens along its axial thickness.
+    pub fn lens_density(&self, nm: f64) -> f64 {
+        self.scale * self.lens.at(nm).max(0.0)
     }
 
     /// Transmittance of the macula at a visual eccentricity.

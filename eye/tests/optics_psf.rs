@@ -139,7 +139,9 @@ fn four_reference_point_spreads() {
             case.wavelength_nm,
             w.rms_waves()
         );
-        assert!(error < 2e-3 && huygens_error < 2e-3);
+        // In focus at the fovea 1e-3 of the peak, elsewhere 2e-3.
+        let most = if case.field_deg < 6.0 && case.vergence_d < 0.1 { 1e-3 } else { 2e-3 };
+        assert!(error < most && huygens_error < most);
         assert!(linear < 1e-6);
         assert!((strehl - case.strehl).abs() < 2e-4 && (energy - case.energy).abs() < 5e-4);
         if case.field_deg > 9.0 {
@@ -183,6 +185,34 @@ fn flux_amplitude_and_apodization_agree_with_huygens() {
     let a = 0.05 * 10.0_f64.ln();
     let face_on = (1.0 - (-9.0 * a).exp()) / (9.0 * a);
     assert!((w.throughput() - face_on).abs() < 0.03, "{} against {face_on}", w.throughput());
+}
+
+/// Up to 20 degrees from the axis on the fovea's side, 6 mm, out of focus: production against the direct sum with exact distances.
+/// What is left is that production takes the distance to a sample to first order. On the other side, at -20 degrees and 6 mm (650 nm,
+/// 80 µm wide), that costs 9.3e-3 of a peak of 0.0038: not within 2e-3, and not asserted here.
+#[test]
+fn the_field_to_20_degrees_agrees_with_huygens() {
+    let mut worst = 0.0_f64;
+    for (pupil_mm, field_deg, vergence_d, nm) in [
+        (3.0, 5.0, 0.0, 543.0),
+        (6.0, 5.0, 0.0, 543.0),
+        (6.0, 5.0, 1.0, 543.0),
+        (3.0, 20.0, 0.0, 450.0),
+        (6.0, 20.0, 0.0, 543.0),
+    ] {
+        let eye = eye(pupil_mm, 0.4);
+        let object = Object::field(field_deg, vergence_d).unwrap();
+        let w = Wavefront::new(&eye, object, nm, &UNIFORM).unwrap();
+        let grid = PsfGrid::new(32, if pupil_mm > 3.5 || field_deg > 10.0 { 40.0 } else { 10.0 });
+        let nodes = HuygensOptions { radial: 60, azimuth: 240, exact_distance: true };
+        let exact = huygens::psf(&eye, object, nm, &UNIFORM, &nodes, &grid).unwrap();
+        let error = difference(&psf(&w, &grid), &exact) / largest(&exact);
+        let foveal = field_deg < 6.0 && field_deg > 0.0 && vergence_d < 0.1;
+        println!("{pupil_mm} mm, {field_deg}°, {vergence_d} D, {nm} nm: {error:.1e} of the peak");
+        assert!(error < if foveal { 1e-3 } else { 2e-3 });
+        worst = worst.max(error);
+    }
+    println!("worst {worst:.1e}");
 }
 
 #[test]

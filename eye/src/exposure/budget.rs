@@ -45,8 +45,9 @@ impl Ledger {
     pub fn new(inputs: &Inputs, centre_px: [f64; 2]) -> Result<Self, String> {
         let Inputs { kernels, projection, projector, .. } = inputs;
         let absorbers = kernels.spec().absorbers()?;
-        let paths = kernels.paths();
         let media = &absorbers.media;
+        let cornea = |nm: f64| media.cornea(nm, kernels.paths_at(nm).cornea);
+        let lens = |nm: f64| media.lens(nm, kernels.paths_at(nm).lens);
         let shares = kernels
             .spec()
             .shares()
@@ -54,15 +55,15 @@ impl Ledger {
             .map(|primary| {
                 let sum =
                     |f: &dyn Fn(f64) -> f64| primary.iter().map(|(nm, share)| share * f(*nm)).sum::<f64>();
-                let before = |nm: f64| media.cornea(nm, paths.cornea) * media.lens(nm, paths.lens);
+                let before = |nm: f64| cornea(nm) * lens(nm);
                 let macula = (0..=STEPS).map(|i| {
                     let ecc_deg = MACULA_EDGE_DEG * i as f64 / STEPS as f64;
                     sum(&|nm| before(nm) * (1.0 - media.macula(nm, ecc_deg)))
                 });
                 Shares {
                     reflected: sum(&|nm| media.reflected(nm)),
-                    cornea: sum(&|nm| 1.0 - media.reflected(nm) - media.cornea(nm, paths.cornea)),
-                    lens: sum(&|nm| media.cornea(nm, paths.cornea) * (1.0 - media.lens(nm, paths.lens))),
+                    cornea: sum(&|nm| 1.0 - media.reflected(nm) - cornea(nm)),
+                    lens: sum(&|nm| cornea(nm) * (1.0 - lens(nm))),
                     macula: macula.collect(),
                 }
             })

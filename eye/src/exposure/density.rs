@@ -7,25 +7,25 @@
 
 use glam::DVec2;
 
-use super::transfer::{FieldPoint, wavefronts};
-use crate::optics::Projection;
+use super::field::Field;
+use super::transfer::FieldPoint;
 
 /// Distance over which the change is taken, µm.
-const STEP_UM: f64 = 150.0;
+pub(super) const STEP_UM: f64 = 150.0;
 
 /// The factor `[wavelength]` at a field point; `rho10_per_mm2` is the Stiles-Crawford coefficient.
 ///
 /// # Errors
 /// When the pupil cannot be traced beside the point.
 pub fn densities(
-    projection: &Projection,
+    field: &Field,
     point: &FieldPoint,
     nodes_nm: &[f64],
     rho10_per_mm2: f64,
 ) -> Result<Vec<f64>, String> {
     let moved = |step: DVec2| -> Result<Vec<DVec2>, String> {
-        let beside = FieldPoint::new(projection, point.landing_um + step)?;
-        let waves = wavefronts(projection, &beside, nodes_nm, rho10_per_mm2)?;
+        let beside = FieldPoint::new(field.projection(), point.landing_um + step)?;
+        let waves = field.wavefronts(&beside, nodes_nm, rho10_per_mm2)?;
         let to_chart = beside.chart_from_tangents();
         Ok(waves.iter().map(|w| w.landing_um - beside.landing_um + to_chart * w.centroid_um()).collect())
     };

@@ -14,10 +14,11 @@ use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
 use super::density::densities;
+use super::field::Field;
 use super::lowrank::compress;
 use super::polar::PolarShape;
-use super::spectral::{Absorbers, KINDS, Kind, Paths, Share};
-use super::transfer::{FieldPoint, extent, transfer_table, wavefronts};
+use super::spectral::{Absorbers, KINDS, Kind, Paths, Share, paths_at};
+use super::transfer::{FieldPoint, extent, transfer_table};
 use super::{codec, nodes};
 use crate::cone::pigment::Pigments;
 use crate::display::photon_shares;
@@ -26,7 +27,7 @@ use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
 use crate::psf::Wavefront;
 use crate::spectrum::Spectrum;
 
-const MAGIC: [u8; 8] = *b"PEkernl1";
+const MAGIC: [u8; 8] = *b"PEkernl2";
 /// Diameter of the smallest cones, µm: frequencies that such an aperture averages away weigh less in the basis.
 const APERTURE_UM: f64 = 2.0;
 /// µm of retina per unit tangent near the fovea, for that weight only.
@@ -88,7 +89,8 @@ struct Head {
     basis_error: f64,
     /// Mean over the field nodes of the apodized share of the pupil's light.
     throughput: f64,
-    paths: Paths,
+    /// `[wavelength]`, mean over the field nodes.
+    paths: Vec<Paths>,
 }
 
 /// Kernels, ready for use.
@@ -154,16 +156,17 @@ impl KernelSpec {
         }
         // Everything in the order of points and wavelengths, whatever thread computes it.
         let rho = self.stiles_crawford_rho10_per_mm2;
+        let field = Field::new(&projection, self)?;
         let wavefronts: Vec<Vec<Wavefront>> = points
             .par_iter()
-            .map(|point| wavefronts(&projection, point, &self.nodes_nm, rho))
+            .map(|point| field.wavefronts(point, &self.nodes_nm, rho))
             .collect::<Result<_, String>>()?;
         let jobs: Vec<(&FieldPoint, &Wavefront)> =
             points.iter().zip(&wavefronts).flat_map(|(p, waves)| waves.iter().map(move |w| (p, w))).collect();
         let shape = self.shape_for(&jobs)?;
         let factors: Vec<f64> = points
             .par_iter()
-            .map(|point| densities(&projection, point, &self.nodes_nm, rho))
+            .map(|point| densities(&field, point, &self.nodes_nm, rho))
             .collect::<Result<Vec<_>, String>>()?
             .concat();
         let transfers: Vec<_> = jobs
@@ -171,12 +174,12 @@ impl KernelSpec {
             .zip(&factors)
             .map(|((p, w), factor)| transfer_table(p, w, shape).times(*factor))
             .collect();
-        let centre = transfers.len() / 2;
-        let paths = transfers.get(centre).map_or(Paths { cornea: 1.0, lens: 1.0 }, |t| t.paths);
+        let media = self.absorbers()?.media;
+        let paths: Vec<Paths> = jobs.iter().map(|(_, w)| Paths::new(w, &media)).collect();
         let throughput = transfers.iter().map(|t| t.throughput).sum::<f64>() / transfers.len().max(1) as f64;
         let kernels = self.kernels_by_place(
             &transfers.iter().map(|t| t.table.as_slice()).collect::<Vec<_>>(),
-            paths,
+            &paths,
             shape,
         )?;
         let weights = self.basis_weights(shape);
@@ -193,9 +196,26 @@ impl KernelSpec {
         let tables = bases.iter().map(|b| b.kernels.iter().map(split).collect()).collect();
         let kinds = bases.into_iter().map(|b| KindBasis { from_basis: b.coefficients }).collect();
         Ok(Kernels {
-            head: Head { spec: self.clone(), shape, kinds, basis_error, throughput, paths },
+            head: Head {
+                spec: self.clone(),
+                shape,
+                kinds,
+                basis_error,
+                throughput,
+                paths: self.mean_paths(&paths),
+            },
             tables,
         })
+    }
+
+    /// Means over the field nodes, `[wavelength]`, of paths `[field node][wavelength]`.
+    fn mean_paths(&self, paths: &[Paths]) -> Vec<Paths> {
+        let waves = self.nodes_nm.len();
+        let fields = (paths.len() / waves.max(1)).max(1) as f64;
+        let mean = |wave: usize, of: fn(&Paths) -> f64| {
+            paths.iter().skip(wave).step_by(waves).map(of).sum::<f64>() / fields
+        };
+        (0..waves).map(|i| Paths { cornea: mean(i, |p| p.cornea), lens: mean(i, |p| p.lens) }).collect()
     }
 
     /// The shape of the tables: a wavelength that is caught little need not be resolved as well.
@@ -226,7 +246,7 @@ impl KernelSpec {
     fn kernels_by_place(
         &self,
         transfers: &[&[Complex64]],
-        paths: Paths,
+        paths: &[Paths],
         shape: PolarShape,
     ) -> Result<Vec<Vec<Vec<Complex64>>>, String> {
         let absorbers = self.absorbers()?;
@@ -245,7 +265,8 @@ impl KernelSpec {
                 let mut kernel = Vec::with_capacity(shares.len() * shape.len());
                 for primary in &shares {
                     let nodes = (self.nodes_nm.as_slice(), kinks_nm.as_slice());
-                    let weights = absorbers.smooth_weights(primary, nodes, KINDS[kind], ecc, paths);
+                    let along = &paths[f * waves..(f + 1) * waves];
+                    let weights = absorbers.smooth_weights(primary, nodes, KINDS[kind], ecc, along);
                     let mut sum = vec![Complex64::ZERO; shape.len()];
                     for (weight, table) in weights.iter().zip(&transfers[f * waves..(f + 1) * waves]) {
                         sum.iter_mut().zip(*table).for_each(|(s, t)| *s += *weight * t);
@@ -298,9 +319,16 @@ impl Kernels {
         self.head.throughput
     }
 
-    /// Mean path lengths in the media.
+    /// Path lengths in the media, mean over field and wavelengths.
     pub fn paths(&self) -> Paths {
-        self.head.paths
+        let count = self.head.paths.len().max(1) as f64;
+        let mean = |of: fn(&Paths) -> f64| self.head.paths.iter().map(of).sum::<f64>() / count;
+        Paths { cornea: mean(|p| p.cornea), lens: mean(|p| p.lens) }
+    }
+
+    /// Path lengths in the media at a wavelength (nm), mean over the field.
+    pub fn paths_at(&self, nm: f64) -> Paths {
+        paths_at(&self.head.spec.nodes_nm, &self.head.paths, nm)
     }
 
     /// Basis images of a kind.
@@ -350,6 +378,9 @@ impl Kernels {
         let samples = head.shape.len();
         let ranks: Vec<usize> = head.kinds.iter().map(|k| k.from_basis.first().map_or(0, Vec::len)).collect();
         let expected = ranks.iter().sum::<usize>().checked_mul(2 * primaries * samples);
+        if head.paths.len() != head.spec.nodes_nm.len() {
+            return Err("its paths do not fit its wavelengths".into());
+        }
         if head.kinds.len() != KINDS.len() || expected != Some(numbers.len()) || samples == 0 {
             return Err("its size does not fit its head".into());
         }

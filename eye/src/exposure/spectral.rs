@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cone::{ISOMERIZATION, pigment::Pigments};
 use crate::media::Media;
+use crate::psf::Wavefront;
 use crate::retina::ConeType;
 
 /// What a kernel counts.
@@ -41,13 +42,24 @@ pub struct Absorbers {
     pub pigments: Pigments,
 }
 
-/// Path lengths relative to the axial thicknesses.
+/// Path lengths relative to the axial thicknesses: of all rays of a pupil one pair that lets the same share of light through.
+///
+/// Mean over rays of 10^(-D·l) = 10^(-D·l'), l' = mean - ln(10)·D·variance/2 to second order.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Paths {
     /// In the cornea.
     pub cornea: f64,
     /// In the lens.
     pub lens: f64,
+}
+
+impl Paths {
+    /// The paths of a wavefront.
+    pub fn new(wavefront: &Wavefront, media: &Media) -> Self {
+        let density = std::f64::consts::LN_10 * media.lens_density(wavefront.wavelength_nm);
+        let lens = wavefront.path_lens - 0.5 * density * wavefront.path_lens_variance;
+        Self { cornea: wavefront.path_cornea, lens }
+    }
 }
 
 impl Absorbers {
@@ -68,7 +80,7 @@ impl Absorbers {
         self.passed(nm, ecc_deg, paths) * self.caught(kind, nm, ecc_deg)
     }
 
-    /// Weights `[node]` of one primary, kind and eccentricity.
+    /// Weights `[node]` of one primary, kind and eccentricity, with the same paths for all wavelengths.
     pub fn weights(
         &self,
         shares: &[Share],
@@ -77,9 +89,22 @@ impl Absorbers {
         ecc_deg: f64,
         paths: Paths,
     ) -> Vec<f64> {
+        self.weights_along(shares, nodes_nm, kind, ecc_deg, &vec![paths; nodes_nm.len()])
+    }
+
+    /// The same with the paths at each wavelength node; between them they are interpolated.
+    pub fn weights_along(
+        &self,
+        shares: &[Share],
+        nodes_nm: &[f64],
+        kind: Kind,
+        ecc_deg: f64,
+        paths: &[Paths],
+    ) -> Vec<f64> {
         let mut weights = vec![0.0; nodes_nm.len()];
         for &(nm, share) in shares {
-            let caught = share * self.caught_at(kind, nm, ecc_deg, paths);
+            let at = paths_at(nodes_nm, paths, nm);
+            let caught = share * self.caught_at(kind, nm, ecc_deg, at);
             linear(nodes_nm, nm, |node, weight| weights[node] += weight * caught);
         }
         weights
@@ -92,11 +117,11 @@ impl Absorbers {
         (nodes_nm, kinks_nm): (&[f64], &[f64]),
         kind: Kind,
         ecc_deg: f64,
-        paths: Paths,
+        paths: &[Paths],
     ) -> Vec<f64> {
         let mut weights = vec![0.0; nodes_nm.len()];
         for &(nm, share) in shares {
-            let caught = share * self.caught_at(kind, nm, ecc_deg, paths);
+            let caught = share * self.caught_at(kind, nm, ecc_deg, paths_at(nodes_nm, paths, nm));
             smooth(nodes_nm, kinks_nm, nm, |node, weight| weights[node] += weight * caught);
         }
         weights
@@ -143,6 +168,23 @@ fn smooth(nodes_nm: &[f64], kinks_nm: &[f64], nm: f64, mut put: impl FnMut(usize
     }
 }
 
+/// Paths between those of two nodes.
+fn between(a: Paths, b: Paths, t: f64) -> Paths {
+    Paths { cornea: a.cornea + t * (b.cornea - a.cornea), lens: a.lens + t * (b.lens - a.lens) }
+}
+
+/// Paths at a wavelength from those at the nodes.
+pub fn paths_at(nodes_nm: &[f64], paths: &[Paths], nm: f64) -> Paths {
+    let Some(last) = nodes_nm.len().min(paths.len()).checked_sub(1) else {
+        return Paths { cornea: 1.0, lens: 1.0 };
+    };
+    let above = nodes_nm.partition_point(|&node| node < nm).min(last);
+    let below = above.saturating_sub(1);
+    let span = nodes_nm[above] - nodes_nm[below];
+    let t = if span > 0.0 { ((nm - nodes_nm[below]) / span).clamp(0.0, 1.0) } else { 1.0 };
+    between(paths[below], paths[above], t)
+}
+
 /// Wavelength nodes: both ends of every stretch of light, and equal steps of at most `step_nm` between. A single line gets one
 /// node.
 pub fn wavelength_nodes(mut lit_nm: Vec<f64>, step_nm: f64) -> Vec<f64> {
@@ -187,7 +229,8 @@ mod tests {
             let direct: f64 =
                 shares.iter().map(|&(nm, s)| s * absorbers.caught_at(kind, nm, 0.3, paths)).sum();
             assert!((weights.iter().sum::<f64>() / direct - 1.0).abs() < 1e-12);
-            let smooth = absorbers.smooth_weights(&shares, (&nodes, &[555.0]), kind, 0.3, paths);
+            let along = vec![paths; nodes.len()];
+            let smooth = absorbers.smooth_weights(&shares, (&nodes, &[555.0]), kind, 0.3, &along);
             assert!((smooth.iter().sum::<f64>() / direct - 1.0).abs() < 1e-12);
         }
     }

@@ -9,7 +9,6 @@ use glam::{DMat2, DVec2};
 use rustfft::num_complex::Complex64;
 
 use super::polar::PolarShape;
-use super::spectral::Paths;
 use crate::optics::{Object, Projection};
 use crate::psf::quadrature::Rules;
 use crate::psf::{Otf, StilesCrawfordApodization, TransferMap, Wavefront, WavefrontOptions, WavefrontTable};
@@ -27,6 +26,8 @@ const MAP_FROM_TURNS: f64 = 1.5;
 /// A point of the field.
 #[derive(Clone, Debug)]
 pub struct FieldPoint {
+    /// The point of the screen, tangents.
+    pub tangent: DVec2,
     /// What is imaged there.
     pub object: Object,
     /// Landing point at the reference wavelength, µm.
@@ -54,6 +55,7 @@ impl FieldPoint {
             + around * DMat2::from_cols(side * side.x, side * side.y);
         let local = if arc > 1e-6 { local } else { DMat2::IDENTITY };
         Ok(Self {
+            tangent,
             object: projection.object(tangent),
             landing_um: um,
             frequency_map: (local * jacobian).inverse().transpose(),
@@ -79,8 +81,6 @@ pub struct Transfer {
     pub table: Vec<Complex64>,
     /// Share of the pupil's light that is accepted.
     pub throughput: f64,
-    /// Path lengths in the media.
-    pub paths: Paths,
 }
 
 impl Transfer {
@@ -111,10 +111,15 @@ pub fn wavefronts(
     nodes_nm: &[f64],
     rho10_per_mm2: f64,
 ) -> Result<Vec<Wavefront>, String> {
+    let options = wavefront_options(rho10_per_mm2);
+    WavefrontTable::spectrum(projection.eye(), point.object, nodes_nm, &options).map_err(|e| e.to_string())
+}
+
+/// How wavefronts are made with a Stiles-Crawford coefficient.
+pub fn wavefront_options(rho10_per_mm2: f64) -> WavefrontOptions {
     let stiles_crawford =
         (rho10_per_mm2 > 0.0).then_some(StilesCrawfordApodization { rho_base10_per_mm2: rho10_per_mm2 });
-    let options = WavefrontOptions { stiles_crawford, ..WavefrontOptions::default() };
-    WavefrontTable::spectrum(projection.eye(), point.object, nodes_nm, &options).map_err(|e| e.to_string())
+    WavefrontOptions { stiles_crawford, ..WavefrontOptions::default() }
 }
 
 /// Radius of the geometric spread and distance of its chief ray from the point imaged at the reference wavelength, on the screen
@@ -179,8 +184,7 @@ fn finish(
     shape: PolarShape,
 ) -> Transfer {
     shift(&mut table, point.shift(wavefront), shape);
-    let paths = Paths { cornea: wavefront.path_cornea, lens: wavefront.path_lens };
-    Transfer { table, throughput: wavefront.throughput(), paths }
+    Transfer { table, throughput: wavefront.throughput() }
 }
 
 /// Largest distance from the chief ray's landing point at which rays land, µm: the gradient of the path difference.

@@ -5,6 +5,10 @@
 //! field(ξ_i, ξ_j) = Σ_b exp(−i k' p_b ξ_j) Σ_a P_ab exp(−i k' p_ab ξ_i).
 //! Samples come in pairs ±ξ whose exponentials are conjugate: each product is taken once for both.
 //!
+//! # Accuracy
+//! The distance from the pupil to a sample is taken to first order in ξ, which costs 1.5e-3 of the peak at 20° with 6 mm (543 nm, 80 µm wide)
+//! and 9.3e-3 at -20°, 25° from the line of sight, where the spread is wide and low; the rest is below 1e-4 (`tests/optics_psf.rs`).
+//!
 //! # Cost
 //! N = 0.95·ω/2 + 9 nodes per diameter (1.05·ω/2 + 12 for strong phases), ω/2 = half-width/λ'·π·(slope + reach):
 //! N²·n + N·n² multiplications. 10 % fewer nodes fall off a cliff (4e-3 → 0.2); a test compares N with 1.25 N.

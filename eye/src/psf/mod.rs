@@ -9,6 +9,7 @@
 //! ξ is counted from the landing point of the chief ray of the same wavelength, µm along the retina's tangents.
 
 pub mod chords;
+pub mod field_table;
 pub mod gridding;
 pub mod huygens;
 pub mod least_squares;
@@ -24,6 +25,7 @@ pub mod table;
 pub mod transfer_map;
 pub mod wavefront;
 
+pub use field_table::FieldTable;
 pub use huygens::HuygensOptions;
 pub use matrix::{GridAxes, PsfGrid, psf};
 pub use otf::Otf;

@@ -81,6 +81,8 @@ pub struct Wavefront {
     pub path_cornea: f64,
     /// Mean path in the lens / axial path.
     pub path_lens: f64,
+    /// Variance over the pupil of path in the lens / axial path.
+    pub path_lens_variance: f64,
     /// ∫A over the pupil.
     pub amplitude_sum: f64,
     /// ∫A² without apodization.
@@ -129,6 +131,7 @@ impl Wavefront {
             pupil_area_mm2: fitted.flux,
             path_cornea: fitted.path_cornea,
             path_lens: fitted.path_lens,
+            path_lens_variance: fitted.path_lens_variance,
             amplitude_sum: 0.0,
             energy_open: 0.0,
             throughput: fitted.throughput,
@@ -155,6 +158,7 @@ impl Wavefront {
             pupil_area_mm2: PI,
             path_cornea: 1.0,
             path_lens: 1.0,
+            path_lens_variance: 0.0,
             amplitude_sum: 0.0,
             energy_open: 0.0,
             throughput: 1.0,
@@ -264,6 +268,7 @@ struct Fitted {
     throughput: f64,
     path_cornea: f64,
     path_lens: f64,
+    path_lens_variance: f64,
 }
 
 impl Fitted {
@@ -289,7 +294,9 @@ impl Fitted {
         let stop_per_s = Jacobian::new(&stop_x, &stop_y);
         let launch_per_s = Jacobian::new(&launch_x, &launch_y);
         let entrance_mm = eye.stop_radius_mm() * eye.stop_magnification();
-        let (mut flux, mut open, mut kept, mut cornea, mut lens) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        let (mut flux, mut open, mut kept) = (0.0, 0.0, 0.0);
+        // Light that the cones accept, its paths in cornea and lens, and the square of the last.
+        let (mut accepted, mut cornea, mut lens, mut square) = (0.0, 0.0, 0.0, 0.0);
         let mut amplitudes = Vec::with_capacity(points.len());
         for (ray, s) in bundle.rays.iter().zip(&points) {
             let stop_area = stop_per_s.at(*s);
@@ -305,8 +312,12 @@ impl Fitted {
             open += ds * amplitude * amplitude;
             kept += ds * (amplitude * apodization).powi(2);
             flux += ds * flux_density;
-            cornea += ds * flux_density * ray.path_mm[1];
-            lens += ds * flux_density * ray.path_mm[3];
+            let weight = ds * flux_density * apodization * apodization;
+            let [_, in_cornea, _, in_lens, _] = ray.path_mm;
+            accepted += weight;
+            cornea += weight * in_cornea;
+            lens += weight * in_lens;
+            square += weight * in_lens * in_lens;
         }
         let amplitude = design.fit(amplitudes.into_iter());
         let rim: Vec<DVec2> = bundle.edge.iter().map(|r| inverse * (r.q - centre)).collect();
@@ -317,8 +328,10 @@ impl Fitted {
             outline: Outline::through(&rim),
             flux,
             throughput: kept / open,
-            path_cornea: cornea / (flux * thickness[0]),
-            path_lens: lens / (flux * thickness[2]),
+            path_cornea: cornea / (accepted * thickness[0]),
+            path_lens: lens / (accepted * thickness[2]),
+            path_lens_variance: (square / accepted - (lens / accepted).powi(2)).max(0.0)
+                / thickness[2].powi(2),
         }
     }
 }
@@ -351,10 +364,15 @@ fn pupil_coordinates(bundle: &PupilBundle) -> Option<(DVec2, DMat2)> {
 
 /// Angle, in the local retina frame, of the tangent away from the optical axis; the fovea's meridian on the axis itself.
 pub(super) fn meridional_angle_of(eye: &SchematicEye, bundle: &PupilBundle) -> f64 {
-    let outward = bundle.landing - eye.retina_centre();
+    meridional_angle_at(eye, bundle.landing, bundle.frame)
+}
+
+/// The same at a place of the retina with its frame.
+pub(super) fn meridional_angle_at(eye: &SchematicEye, landing: DVec3, frame: [DVec3; 3]) -> f64 {
+    let outward = landing - eye.retina_centre();
     let lateral = outward.truncate();
     let sine = lateral.length();
     let way = if sine > 1e-9 { lateral / sine } else { DVec2::Y };
     let tangent = DVec3::new(way.x * outward.z, way.y * outward.z, -sine);
-    tangent.dot(bundle.frame[1]).atan2(tangent.dot(bundle.frame[0]))
+    tangent.dot(frame[1]).atan2(tangent.dot(frame[0]))
 }
