@@ -89,7 +89,7 @@ fn the_largest_display_is_planned_or_refused() {
         match plan(&all) {
             Ok(plan) => assert!(whole_screen && plan.predicted_bytes < 4e9),
             Err(error) => {
-                assert!(!whole_screen && error.to_string().contains("retina.region_deg"), "{error}")
+                assert!(!whole_screen && error.to_string().contains("retina.region_deg"), "{error}");
             }
         }
     }

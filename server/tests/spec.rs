@@ -72,9 +72,55 @@ fn frames_follow_the_pictures() {
     assert!(matches!(read.video, Video::Clip(clip) if clip.blobs.len() == 2));
 }
 
+/// The scan of a CRT, bleaching and isomerizations without light: read, with their defaults, off when they are not given.
+#[test]
+fn scan_bleaching_and_dark_isomerizations_are_read() {
+    use photoneye_eye::display::{Scan, Waveform};
+    let crt = read(&with("display", json!({"preset": "crt"}))).unwrap();
+    let scan = crt.display.primaries[0].waveform.scan().copied();
+    assert_eq!(scan, Some(Scan { share: 0.96, line: 0.76 }));
+    let rows = json!([{"name": "white", "spectrum": {"equal_energy": {}}, "waveform": {"scan": {}}}]);
+    let held = read(&with("display", json!({"preset": "lcos-3chip", "primaries": rows}))).unwrap();
+    let pixel = Box::new(Waveform::Steady);
+    let waveform = Waveform::Scanned { pixel, scan: Scan { share: 0.95, line: 0.8 } };
+    assert_eq!(held.display.primaries[0].waveform, waveform);
+    assert_eq!((crt.retina.dark_isomerizations_per_s, crt.retina.bleaching_td), (0.0, None));
+    let cones = json!({"dark_isomerizations_per_s": 100, "bleaching": {}});
+    let read = read(&with("retina", cones)).unwrap();
+    assert_eq!(read.retina.dark_isomerizations_per_s, 100.0);
+    // The default is the display's white, 250 cd/m² through 3 mm.
+    let td = read.retina.bleaching_td.unwrap();
+    let white = read.display.white_trolands(3.0);
+    assert!((td - white).abs() < 1e-9 && td > 1.0, "{td}");
+}
+
 #[test]
 fn errors_name_the_field_and_what_is_allowed() {
+    let scanned = |waveform: Value| {
+        let white = json!([{"name": "white", "spectrum": {"equal_energy": {}}, "waveform": waveform}]);
+        json!({"preset": "lcos-3chip", "primaries": white})
+    };
     let cases = [
+        (
+            "display",
+            scanned(json!({"pwm": {"hz": 240, "duty": 0.5}, "scan": {}})),
+            "display.primaries[0].waveform.scan: with pwm is out of range",
+        ),
+        (
+            "display",
+            scanned(json!({"phosphor": {"decay_us": 100, "start": 0.2}, "scan": {"share": 0.9}})),
+            "display.primaries[0].waveform.scan.share: 0.9 is out of range",
+        ),
+        (
+            "retina",
+            json!({"bleaching": {"adaptation_td": -1}}),
+            "retina.bleaching.adaptation_td: -1 is out of range",
+        ),
+        (
+            "retina",
+            json!({"dark_isomerizations_per_s": -1}),
+            "retina.dark_isomerizations_per_s: -1 is out of range",
+        ),
         ("eye", json!({"pupil_mm": 12}), "eye.pupil_mm: 12 is out of range, allowed is 0.5 to 9"),
         ("eye", json!({"preset": "cat"}), "eye.preset: unknown eye `cat`"),
         ("display", json!({"preset": "oled", "contrast": 0.5}), "display.contrast: 0.5 is out of range"),
