@@ -10,7 +10,8 @@ use super::cones::{ConeTable, slant_factor};
 use super::expected::Means;
 use super::inputs::Inputs;
 use super::light::{Shown, courses, frame_light};
-use super::source::Projector;
+use super::source::{Projector, Source};
+use crate::display::Emitter;
 use crate::media::MACULA_EDGE_DEG;
 use crate::report::PhotonBudget;
 
@@ -27,6 +28,16 @@ struct Shares {
     macula: Vec<f64>,
 }
 
+/// One primary's photons in a frame.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sent {
+    emitted: f64,
+    /// Into the pupil.
+    entered: f64,
+    /// Absorbed in the macula.
+    macula: f64,
+}
+
 /// What the budget needs of a scene.
 #[derive(Clone, Debug)]
 pub struct Ledger {
@@ -35,6 +46,8 @@ pub struct Ledger {
     throughput: f64,
     /// Slant factor and eccentricity (degrees) by pixel of the display, row-major.
     pixels: Vec<(f64, f64)>,
+    /// `[primary][pixel]`: share of what meets the pupil at the gaze centre that the macula absorbs.
+    macula: Vec<Vec<f32>>,
 }
 
 impl Ledger {
@@ -48,7 +61,7 @@ impl Ledger {
         let media = &absorbers.media;
         let cornea = |nm: f64| media.cornea(nm, kernels.paths_at(nm).cornea);
         let lens = |nm: f64| media.lens(nm, kernels.paths_at(nm).lens);
-        let shares = kernels
+        let shares: Vec<Shares> = kernels
             .spec()
             .shares()
             .iter()
@@ -82,36 +95,79 @@ impl Ledger {
                 pixels.push((slant, tangent.length().atan().to_degrees()));
             }
         }
-        Ok(Self { shares, throughput: kernels.throughput(), pixels })
+        let of_primary = |shares: &Shares| {
+            let absorbed = |(slant, ecc_deg): &(f64, f64)| {
+                (slant * interpolate(&shares.macula, ecc_deg / MACULA_EDGE_DEG)) as f32
+            };
+            pixels.iter().map(absorbed).collect()
+        };
+        let macula = shares.iter().map(of_primary).collect();
+        Ok(Self { shares, throughput: kernels.throughput(), pixels, macula })
     }
 
-    /// The budget of one frame.
+    /// Whether a primary's layers hold the light of every pixel of the display.
+    fn is_whole(&self, source: &Source, primary: usize) -> bool {
+        let layers = &source.primaries[primary].layers;
+        source.covers_display && layers.iter().all(|layer| layer.light.len() == self.pixels.len())
+    }
+
+    /// Sums over pixels of a primary's layers.
+    fn sent_by(&self, source: &Source, primary: usize, pupil_share: f64) -> Sent {
+        let mut sums = Sent::default();
+        for layer in &source.primaries[primary].layers {
+            let share: f64 = layer.segments.iter().map(|s| s.share).sum();
+            let mut of_layer = Sent::default();
+            for ((light, (slant, _)), macula) in
+                layer.light.iter().zip(&self.pixels).zip(&self.macula[primary])
+            {
+                of_layer.emitted += light;
+                of_layer.entered += light * slant;
+                of_layer.macula += light * f64::from(*macula);
+            }
+            sums.emitted += of_layer.emitted * share / pupil_share;
+            sums.entered += of_layer.entered * share;
+            sums.macula += of_layer.macula * share;
+        }
+        sums
+    }
+
+    /// The same for pixels that the source does not hold.
+    fn sent(&self, projector: &Projector, emitter: &Emitter, primary: usize, shown: &Shown) -> Sent {
+        let display = &projector.display;
+        let courses = courses(emitter, display, shown.index);
+        let mut sums = Sent::default();
+        for ((i, (slant, _)), macula) in (0_u32..).zip(&self.pixels).zip(&self.macula[primary]) {
+            let at = [i % display.width_px, i / display.width_px];
+            let emitted = emitter.emitted() * frame_light(display, emitter, &courses, shown, at);
+            sums.emitted += emitted;
+            sums.entered += emitted * projector.pupil_share * slant;
+            sums.macula += emitted * projector.pupil_share * f64::from(*macula);
+        }
+        sums
+    }
+
+    /// The budget of one frame; where its light is at hand as a `source` it need not be made again.
     pub fn budget(
         &self,
         projector: &Projector,
-        shown: &Shown,
+        (shown, source): (&Shown, Option<&Source>),
         cones: &ConeTable,
         means: &Means,
     ) -> PhotonBudget {
         let mut budget = PhotonBudget::default();
         let mut reached = 0.0;
-        for (emitter, shares) in projector.emitters.iter().zip(&self.shares) {
-            let per_pixel = emitter.emitted();
-            let display = &projector.display;
-            let courses = courses(emitter, display, shown.index);
-            for (i, (slant, ecc_deg)) in (0_u32..).zip(&self.pixels) {
-                let at = [i % display.width_px, i / display.width_px];
-                let emitted = per_pixel * frame_light(display, emitter, &courses, shown, at);
-                let entered = emitted * projector.pupil_share * slant;
-                let macula = entered * interpolate(&shares.macula, ecc_deg / MACULA_EDGE_DEG);
-                budget.emitted += emitted;
-                budget.missed_pupil += emitted - entered;
-                budget.reflected += entered * shares.reflected;
-                budget.cornea += entered * shares.cornea;
-                budget.lens += entered * shares.lens;
-                budget.macula += macula;
-                reached += entered * (1.0 - shares.reflected - shares.cornea - shares.lens) - macula;
-            }
+        for (k, (emitter, shares)) in projector.emitters.iter().zip(&self.shares).enumerate() {
+            let Sent { emitted, entered, macula } = match source {
+                Some(source) if self.is_whole(source, k) => self.sent_by(source, k, projector.pupil_share),
+                _ => self.sent(projector, emitter, k, shown),
+            };
+            budget.emitted += emitted;
+            budget.missed_pupil += emitted - entered;
+            budget.reflected += entered * shares.reflected;
+            budget.cornea += entered * shares.cornea;
+            budget.lens += entered * shares.lens;
+            budget.macula += macula;
+            reached += entered * (1.0 - shares.reflected - shares.cornea - shares.lens) - macula;
         }
         let Means { arrived, guided, .. } = *means;
         for (cone, mean) in cones.cones.iter().zip(&means.isomerized) {

@@ -48,7 +48,7 @@ use expected::{Expected, Means, Settings};
 use inputs::Inputs;
 use light::{Shown, history};
 use paper::Paper;
-use source::Projector;
+use source::{Projector, Source};
 
 /// Counts of one frame, in the order of the cones.
 #[derive(Clone, Debug, PartialEq)]
@@ -213,15 +213,16 @@ impl Exposure {
         }
         match &self.counter {
             Counter::Expected(expected) => {
-                let mut means = expected.frame(&self.projector.frame(&shown, &self.scene));
+                let source = self.projector.frame(&shown, &self.scene);
+                let mut means = expected.frame(&source);
                 if let Some(veil) = &self.veil {
                     veil.add(&mut means, &shown, &self.projector);
                 }
-                Ok(self.expected_frame(&shown, &means))
+                Ok(self.expected_frame((&shown, Some(&source)), &means))
             }
             Counter::Events(events) => {
                 let drawn = events.frame(&shown, &self.projector).map_err(ExposureError::Model)?;
-                let budget = self.ledger.budget(&self.projector, &shown, &self.cones, &drawn.means);
+                let budget = self.ledger.budget(&self.projector, (&shown, None), &self.cones, &drawn.means);
                 let diagnostics = vec![("photons drawn".to_owned(), drawn.photons)];
                 let frame = self.drawn_frame(index, drawn.counts, budget);
                 Ok(Frame { diagnostics, photons: drawn.list, ..frame })
@@ -251,8 +252,8 @@ impl Exposure {
         Frame { counts: FrameCounts::Counts(counts), budget, diagnostics: Vec::new(), photons: None }
     }
 
-    fn expected_frame(&self, shown: &Shown, means: &Means) -> Frame {
-        let mut budget = self.ledger.budget(&self.projector, shown, &self.cones, means);
+    fn expected_frame(&self, (shown, source): (&Shown, Option<&Source>), means: &Means) -> Frame {
+        let mut budget = self.ledger.budget(&self.projector, (shown, source), &self.cones, means);
         let dark = self.dark();
         budget.dark = dark * self.ids.len() as f64;
         let counts = if self.experiment.counts.poisson {

@@ -31,6 +31,8 @@ pub struct Layer {
 pub struct Source {
     /// The primaries.
     pub primaries: Vec<SourcePrimary>,
+    /// Whether the window is the whole display.
+    pub covers_display: bool,
 }
 
 /// What does not change between frames.
@@ -47,6 +49,10 @@ pub struct Projector {
 }
 
 impl Projector {
+    fn is_whole(&self, scene: &Scene) -> bool {
+        scene.size_px == [self.display.width_px, self.display.height_px]
+    }
+
     /// The light of a frame.
     pub fn frame(&self, shown: &Shown, scene: &Scene) -> Source {
         self.layers(shown, scene, self.gaze.is_still())
@@ -81,7 +87,10 @@ impl Projector {
             };
             SourcePrimary { layers: courses.iter().map(layer).filter(Layer::is_lit).collect() }
         };
-        Source { primaries: self.emitters.iter().map(primary).collect() }
+        Source {
+            primaries: self.emitters.iter().map(primary).collect(),
+            covers_display: self.is_whole(scene),
+        }
     }
 }
 

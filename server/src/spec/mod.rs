@@ -36,7 +36,7 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
         video,
         gaze,
         counts: counts(spec.counts.as_ref())?,
-        accuracy_target: number(spec.accuracy.as_ref().and_then(|accuracy| accuracy.target), 0.01),
+        accuracy_target: number(spec.accuracy.as_ref().and_then(|accuracy| accuracy.target), 0.001),
         frames,
     };
     experiment.validate().map_err(field_error)?;
