@@ -7,7 +7,7 @@ use std::io::Cursor;
 use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
-use arrow_array::types::{Float32Type, Float64Type, UInt64Type};
+use arrow_array::types::{Float32Type, Float64Type, UInt32Type, UInt64Type};
 use arrow_array::{ArrayRef, Float32Array, Float64Array, RecordBatch, UInt32Array, UInt64Array};
 use arrow_ipc::CompressionType;
 use arrow_ipc::reader::StreamReader;
@@ -25,6 +25,18 @@ pub struct Photons {
     pub wavelength_nm: Vec<f32>,
     /// Ids of the cones.
     pub cone: Vec<u64>,
+}
+
+impl Photons {
+    fn append(&mut self, batch: &RecordBatch) -> Result<(), TableError> {
+        let time = column(batch, "time_s")?.as_primitive_opt::<Float64Type>();
+        self.time_s.extend(time.ok_or_else(|| wrong_type("time_s"))?.values());
+        let nm = column(batch, "wavelength_nm")?.as_primitive_opt::<Float32Type>();
+        self.wavelength_nm.extend(nm.ok_or_else(|| wrong_type("wavelength_nm"))?.values());
+        let cone = column(batch, "cone")?.as_primitive_opt::<UInt64Type>();
+        self.cone.extend(cone.ok_or_else(|| wrong_type("cone"))?.values());
+        Ok(())
+    }
 }
 
 fn fields() -> Vec<Field> {
@@ -73,15 +85,26 @@ pub fn read_photons(chunk: &[u8]) -> Result<Option<Photons>, TableError> {
         }
         let mut photons = Photons::default();
         for batch in StreamReader::try_new(Cursor::new(rest), None)? {
-            let batch = batch?;
-            let time = column(&batch, "time_s")?.as_primitive_opt::<Float64Type>();
-            photons.time_s.extend(time.ok_or_else(|| wrong_type("time_s"))?.values());
-            let nm = column(&batch, "wavelength_nm")?.as_primitive_opt::<Float32Type>();
-            photons.wavelength_nm.extend(nm.ok_or_else(|| wrong_type("wavelength_nm"))?.values());
-            let cone = column(&batch, "cone")?.as_primitive_opt::<UInt64Type>();
-            photons.cone.extend(cone.ok_or_else(|| wrong_type("cone"))?.values());
+            photons.append(&batch?)?;
         }
         Ok(Some(photons))
+    })
+}
+
+/// Reads a long table: frames, and photons.
+///
+/// # Errors
+/// When the bytes are no such stream.
+pub fn read_photons_table(bytes: &[u8]) -> Result<(Vec<u32>, Photons), TableError> {
+    guarded(|| {
+        let (mut frames, mut photons) = (Vec::new(), Photons::default());
+        for batch in StreamReader::try_new(Cursor::new(bytes), None)? {
+            let batch = batch?;
+            let frame = column(&batch, "frame")?.as_primitive_opt::<UInt32Type>();
+            frames.extend(frame.ok_or_else(|| wrong_type("frame"))?.values());
+            photons.append(&batch)?;
+        }
+        Ok((frames, photons))
     })
 }
 

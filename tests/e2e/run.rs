@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 use photoneye_eye::report::PhotonBudget;
+use photoneye_store::photons::read_photons_table;
 use photoneye_store::table::read_cones_file;
 use serde_json::Value;
 use tempfile::tempdir;
@@ -143,4 +144,38 @@ fn a_worker_in_another_process_gives_the_same_bytes() {
     succeed(results.env("PHOTONEYE_SERVER", &server.url));
     assert!(succeed(photoneye(place.path()).args(["jobs", "--server", &server.url])).contains(id.trim()));
     assert!(worker.wait().unwrap().success());
+}
+
+/// photons.arrow holds counts.npy again, photon by photon, and is the same from the server and with other workers.
+#[test]
+fn a_list_of_photons_is_the_counts() {
+    let place = tempdir().unwrap();
+    let mut experiment = small_experiment(3);
+    experiment["display"]["white_luminance_cd_m2"] = 2.0.into();
+    experiment["counts"] = serde_json::json!({"seed": 5, "engine": "EVENTS", "photon_list": true});
+    fs::write(place.path().join("list.json"), experiment.to_string()).unwrap();
+    succeed(photoneye(place.path()).args(["run", "list.json", "--out", "a"]));
+    let read = |name: &str| fs::read(place.path().join("a").join(name)).unwrap();
+    let cones = read_cones_file(&read("cones.arrow")).unwrap();
+    let (shape, counts) = read_npy(&read("counts.npy"));
+    let (frames, photons) = read_photons_table(&read("photons.arrow")).unwrap();
+    let mut again = vec![0; counts.len()];
+    for (frame, id) in frames.iter().zip(&photons.cone) {
+        let cone = cones.id.iter().position(|cone| cone == id).unwrap();
+        again[*frame as usize * shape[1] + cone] += 1;
+    }
+    assert!(again == counts && frames.len() > 1000, "{} photons", frames.len());
+    assert!(frames.is_sorted() && photons.time_s.iter().all(|t_s| *t_s < 3.0 / 24.0));
+
+    let server = Server::start(place.path(), 2);
+    let (status, job) = server.post("/v1/jobs", None, &experiment.to_string());
+    assert_eq!(status, 201, "{job}");
+    let id = job["id"].as_str().unwrap();
+    server.success(id);
+    let served = server.get(&format!("/v1/jobs/{id}/photons.arrow"));
+    assert!(served.0 == 200 && served.1 == read("photons.arrow"));
+    experiment["counts"]["engine"] = "EXPECTED".into();
+    let (status, problem) = server.post("/v1/jobs", None, &experiment.to_string());
+    assert!(status == 422 || status == 400, "{status}");
+    assert!(problem.to_string().contains("counts.photon_list"), "{problem}");
 }

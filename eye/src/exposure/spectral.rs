@@ -239,7 +239,7 @@ mod tests {
     #[test]
     fn smooth_weights_interpolate() {
         let nodes: Vec<f64> = (0..20).map(|i| 400.0 + 10.0 * f64::from(i)).collect();
-        let kinked = |nm: f64| if nm < 500.0 { (nm / 100.0).powi(5) } else { 3000.0 - nm };
+        let kinked = |nm: f64| if nm < 500.0 { (nm / 100.0).powi(5) } else { 3625.0 - nm };
         let made = |nodes: &[f64], kinks: &[f64], f: &dyn Fn(f64) -> f64, nm: f64| {
             let mut sum = 0.0;
             smooth(nodes, kinks, nm, |i, w| sum += w * f(nodes[i]));

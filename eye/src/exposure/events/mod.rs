@@ -9,6 +9,11 @@
 //! Landing: place on the screen -> retina at 543 nm by a polynomial fitted to chief rays, affine inside a pixel; plus the transverse chromatic
 //! shift of the node; plus an offset from the point spread's table ([`spread`]).
 //!
+//! # Randomness
+//! A piece of work is one layer of light from one block of pixels near one wavelength node. Its key is made of seed, frame, tile and the
+//! piece's number, and every photon hashes its numbers from key and place in the piece; sums are of whole numbers: the same bytes for any
+//! number of threads. With a list of photons each course of the light is a layer of its own even for an eye that rests.
+//!
 //! # Cost
 //! Time grows with the number of drawn photons, not with cones or pixels; the tables take milliseconds a node and wavelength.
 

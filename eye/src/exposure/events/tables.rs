@@ -8,7 +8,7 @@ use super::landing::Landing;
 use super::list::Wavelengths;
 use super::spread::Spread;
 use crate::experiment::Experiment;
-use crate::exposure::cones::ConeTable;
+use crate::exposure::cones::{ConeTable, MappedCone};
 use crate::exposure::expected::ARRIVING;
 use crate::exposure::inputs::Inputs;
 use crate::exposure::spectral::{KINDS, Share};
@@ -52,6 +52,16 @@ pub(super) struct Drawn {
 
 /// In place of an entry: outside the core.
 const OUTSIDE: u32 = u32::MAX;
+
+impl Cone {
+    /// A cone between the ends of the table's eccentricities.
+    fn new(cone: &MappedCone, [from, to]: [f64; 2]) -> Self {
+        let at = ((cone.ecc_deg - from) / (to - from).max(1e-12)).clamp(0.0, 1.0) * ECC_STEPS as f64;
+        let below = (at as usize).min(ECC_STEPS - 1);
+        let (kind, pointing) = (cone.cone_type as u32, cone.pointing as f32);
+        Self { kind, below: below as u32, t: (at - below as f64) as f32, pointing }
+    }
+}
 
 /// Which weights a cone counts with: its kind, and its place between two steps of eccentricity.
 pub(super) struct Caught {
@@ -133,28 +143,14 @@ impl Tables {
             weights
         };
         let weights: Vec<Vec<[Weights; KINDS.len()]>> = shares.par_iter().map(of_primary).collect();
-        let cones: Vec<Cone> = cones
-            .cones
-            .iter()
-            .map(|cone| {
-                let at = ((cone.ecc_deg - ecc_from) / (ecc_to - ecc_from).max(1e-12)).clamp(0.0, 1.0)
-                    * ECC_STEPS as f64;
-                let below = (at as usize).min(ECC_STEPS - 1);
-                let t = (at - below as f64) as f32;
-                let (kind, pointing) = (cone.cone_type as u32, cone.pointing as f32);
-                Cone { kind, below: below as u32, t, pointing }
-            })
-            .collect();
+        let cones: Vec<Cone> = cones.cones.iter().map(|cone| Cone::new(cone, spec.ecc_deg)).collect();
         let pointing = cones.iter().map(|cone| cone.pointing).fold(0.0, f32::max);
 
-        let wavelengths = if experiment.counts.photon_list {
-            let near = |shares: &Vec<Share>, node: usize| {
-                Wavelengths::new(&absorbers, shares, (&spec.nodes_nm, node), ecc, kernels.paths())
-            };
-            shares.par_iter().map(|shares| (0..waves).map(|node| near(shares, node)).collect()).collect()
-        } else {
-            Vec::new()
+        let listed = experiment.counts.photon_list;
+        let of_node = |shares: &[Share], node: usize| {
+            Wavelengths::new(&absorbers, shares, (&spec.nodes_nm, node), ecc, kernels.paths())
         };
+        let wavelengths = if listed { table(&shares, waves, of_node) } else { Vec::new() };
 
         // Nodes evenly over the retina that the window is imaged on and the cones lie on.
         let [from, to] = landing.bounds();
@@ -282,6 +278,15 @@ impl Beam<'_> {
         let counted = at(&self.weights[kind as usize]) * pointing;
         Odds { counted: (counted * 4_294_967_296.0) as u32, arrived, guided: arrived * pointing }
     }
+}
+
+/// `[primary][wave]`.
+fn table<T: Send>(
+    shares: &[Vec<Share>],
+    waves: usize,
+    of_node: impl Fn(&[Share], usize) -> T + Sync,
+) -> Vec<Vec<T>> {
+    shares.par_iter().map(|shares| (0..waves).map(|node| of_node(shares, node)).collect()).collect()
 }
 
 /// The cores of some nodes in one table.
