@@ -29,6 +29,8 @@ pub struct StudyArgs {
 pub enum StudyTopic {
     /// The eye's optics: rays, spots, point spreads, transfer, focus, colour; error against time of six ways to a point spread.
     Optics,
+    /// The paper's Figures 12 to 16, large, with the cut-off and the letters that can be read.
+    Figures,
     /// What a mosaic costs, from a thousand cones to the whole retina.
     Retina,
     /// Error of the mean per cone against CPU time, for each setting and engine.

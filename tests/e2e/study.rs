@@ -45,6 +45,26 @@ fn optics() {
     assert!(airy["largest difference / peak"].as_f64().unwrap() < 1e-9, "{airy}");
 }
 
+/// Figures 13, 14 and 16 say what the paper says of them.
+#[test]
+fn figures() {
+    let place = tempdir().unwrap();
+    let said = study(place.path(), "figures", &[]);
+    let letters = rows(&said, "letters");
+    let right = |chart: &str, row: &str| {
+        let found = letters.iter().find(|r| r["chart"] == chart && r["row"] == row);
+        found.and_then(|r| r["read right"].as_f64()).unwrap_or_else(|| panic!("{chart} {row}: {letters:?}"))
+    };
+    assert!(right("Figure 13, 543 nm", "20/12") >= 4.0 && right("Figure 13, 543 nm", "20/15") >= 4.0);
+    let five = rows(&said, "mean-of-five");
+    let correlation = |what: &str| {
+        five.iter().find(|r| r["what"] == what).unwrap()["correlation with the right letters"]
+            .as_f64()
+            .unwrap()
+    };
+    assert!(correlation("mean of five, moved back") > correlation("one frame of an eye at rest"), "{five:?}");
+}
+
 #[test]
 fn retina() {
     let place = tempdir().unwrap();

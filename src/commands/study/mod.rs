@@ -2,6 +2,7 @@
 
 mod clock;
 mod error_time;
+mod figures;
 mod optics;
 mod page;
 mod retina;
@@ -45,6 +46,7 @@ pub fn run(context: &Context, args: &StudyArgs) -> Result<(), Failure> {
     let mut verdict = Ok(());
     let outcome = match args.topic {
         StudyTopic::Optics => optics::study(&mut task, &mut page),
+        StudyTopic::Figures => figures::study(&mut task, &mut page),
         StudyTopic::Retina => retina::study(&mut task, &mut page),
         StudyTopic::ErrorVsTime => error_time::study(&mut task, args, &mut page),
         StudyTopic::Stability => {
