@@ -2,17 +2,17 @@
 
 use bytes::{Bytes, BytesMut};
 use photoneye_proto::v1;
-use tonic::transport::Channel;
 
 use crate::error::is_transient;
-use crate::{Client, ClientError, MAX_MESSAGE, Pauses, job_request};
+use crate::{Client, ClientError, Door, MAX_MESSAGE, Pauses, job_request};
 
 /// Bytes a message when uploading; the schema allows 1 MiB.
 const PIECE: usize = 512 << 10;
 
 impl Client {
-    fn blobs(&self) -> v1::blobs_client::BlobsClient<Channel> {
-        v1::blobs_client::BlobsClient::new(self.channel.clone()).max_decoding_message_size(MAX_MESSAGE)
+    fn blobs(&self) -> v1::blobs_client::BlobsClient<Door> {
+        v1::blobs_client::BlobsClient::with_interceptor(self.channel.clone(), self.key.clone())
+            .max_decoding_message_size(MAX_MESSAGE)
     }
 
     /// Uploads bytes; the answer is their digest, `b3:<hex>/<size>`. The same bytes again are one blob.

@@ -11,6 +11,7 @@ use photoneye_proto::v1::put_blob_request::Part;
 use photoneye_store::BlobDigest;
 use tonic::{Request, Response, Status, Streaming};
 
+use super::caller;
 use crate::error::{Error, Kind};
 use crate::service::Service;
 use crate::transfer::Upload;
@@ -23,6 +24,7 @@ impl Blobs for Door {
         &self,
         request: Request<Streaming<v1::PutBlobRequest>>,
     ) -> Result<Response<v1::PutBlobReply>, Status> {
+        let caller = caller(&request)?;
         let mut parts = request.into_inner();
         let Some(Part::Size(size)) = parts.message().await?.and_then(|message| message.part) else {
             return Err(Error::new(Kind::Invalid, "the first message of an upload is its size").into());
@@ -37,6 +39,7 @@ impl Blobs for Door {
             }
         }
         let digest = upload.finish().await?;
+        self.0.uploaded(&caller, digest).await?;
         Ok(Response::new(v1::PutBlobReply { digest: Some(digest.to_string()) }))
     }
 
@@ -47,6 +50,7 @@ impl Blobs for Door {
             request.get_ref().digest().parse().map_err(|error: photoneye_store::digest::NotADigest| {
                 Status::invalid_argument(format!("digest: {error}"))
             })?;
+        self.0.readable(&caller(&request)?, &digest).await?;
         let reader: Box<dyn Read + Send> = self.0.with_blobs(move |blobs| blobs.open(&digest)).await?;
         let pieces = crate::transfer::pieces(reader).map(|piece| {
             let bytes = Some(piece.map_err(|error| Status::unavailable(error.to_string()))?);

@@ -1,9 +1,6 @@
 //! Both doors over real sockets: a job from its submission to its results, errors, uploads, restarts.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test says by panicking what is wrong")]
 
-mod common;
-
-use common::{CONES, get, http, post, spec, start, work, work_on};
+use crate::common::{CONES, get, http, post, spec, start, work, work_on};
 use photoneye_proto::v1;
 use photoneye_proto::v1::experiments_client::ExperimentsClient;
 use photoneye_server::{Options, Server, StartError};
