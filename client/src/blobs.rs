@@ -74,7 +74,7 @@ async fn retry_or_give_up(pauses: &mut Pauses, status: tonic::Status) -> Result<
 /// The messages of an upload: the declared size, then the bytes.
 fn upload(bytes: &Bytes) -> Vec<v1::PutBlobRequest> {
     use v1::put_blob_request::Part;
-    let message = |part| v1::PutBlobRequest { part: Some(part) };
+    let message = |part| v1::PutBlobRequest { part: Some(part), made: None };
     let starts = (0..bytes.len()).step_by(PIECE);
     let pieces = starts.map(|start| bytes.slice(start..(start + PIECE).min(bytes.len())));
     std::iter::once(Part::Size(bytes.len() as u64)).chain(pieces.map(Part::Bytes)).map(message).collect()

@@ -139,6 +139,6 @@ fn upload(bytes: &Bytes) -> Vec<v1::PutBlobRequest> {
     let pieces = starts.map(|start| bytes.slice(start..(start + PIECE).min(bytes.len())));
     std::iter::once(Part::Size(bytes.len() as u64))
         .chain(pieces.map(Part::Bytes))
-        .map(|part| v1::PutBlobRequest { part: Some(part) })
+        .map(|part| v1::PutBlobRequest { part: Some(part), made: Some(true) })
         .collect()
 }

@@ -77,7 +77,6 @@ fn needed(method: &Method, path: &str) -> &'static [Role] {
         _ if path.starts_with("/photoneye.v1.Workers/") => &[Worker],
         _ if path.starts_with("/grpc.") => &[],
         _ if path.starts_with("/v1/blobs") && !writes => &[Read, Submit, Worker],
-        _ if path.starts_with("/v1/blobs") => &[Submit, Worker],
         _ if path.starts_with("/v1/") && writes => &[Submit],
         _ => &[Read, Submit],
     }

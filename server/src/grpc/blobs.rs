@@ -12,6 +12,7 @@ use photoneye_store::BlobDigest;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::caller;
+use crate::access::Role;
 use crate::error::{Error, Kind};
 use crate::service::Service;
 use crate::transfer::Upload;
@@ -26,9 +27,14 @@ impl Blobs for Door {
     ) -> Result<Response<v1::PutBlobReply>, Status> {
         let caller = caller(&request)?;
         let mut parts = request.into_inner();
-        let Some(Part::Size(size)) = parts.message().await?.and_then(|message| message.part) else {
+        let first = parts.message().await?.unwrap_or_default();
+        let Some(Part::Size(size)) = first.part else {
             return Err(Error::new(Kind::Invalid, "the first message of an upload is its size").into());
         };
+        let made = first.made() && caller.may(Role::Worker);
+        if !made && !caller.may(Role::Submit) {
+            return Err(Error::new(Kind::Forbidden, "a worker uploads only what it made").into());
+        }
         let mut upload = Upload::begin(&self.0, Some(size)).await?;
         while let Some(message) = parts.message().await? {
             match message.part {
@@ -39,7 +45,9 @@ impl Blobs for Door {
             }
         }
         let digest = upload.finish().await?;
-        self.0.uploaded(&caller, digest).await?;
+        if !made {
+            self.0.uploaded(&caller, digest).await?;
+        }
         Ok(Response::new(v1::PutBlobReply { digest: Some(digest.to_string()) }))
     }
 

@@ -1,7 +1,7 @@
 //! Uploads and downloads over REST.
 
 use axum::body::Body;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::response::{IntoResponse as _, Response};
 use axum::{Extension, Json};
 use futures::StreamExt as _;
@@ -10,6 +10,7 @@ use photoneye_proto::{FieldError, v1};
 use photoneye_store::BlobDigest;
 
 use super::Shared;
+use super::extract::Path;
 use crate::access::Caller;
 use crate::error::{Error, Kind};
 use crate::transfer::{Upload, pieces};

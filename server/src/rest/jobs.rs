@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Body;
-use axum::extract::{Path, Query, State};
+use axum::extract::State;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse as _, Response};
 use axum::{Extension, Json};
@@ -14,6 +14,7 @@ use http::{HeaderMap, StatusCode, header};
 use photoneye_proto::{FieldError, experiment_from_json, v1};
 use serde::Deserialize;
 
+use super::extract::{Path, Query};
 use super::{Shared, spec_text};
 use crate::access::Caller;
 use crate::admit::Wish;

@@ -3,6 +3,7 @@
 mod blobs;
 mod catalog;
 mod docs;
+mod extract;
 mod jobs;
 mod results;
 

@@ -229,6 +229,8 @@ async fn every_other_path_answers() {
         ("DELETE", "/v1/jobs", 405),
         ("POST", "/v1/jobs", 400),
         ("GET", "/v1/jobs?page_size=0", 400),
+        ("GET", "/v1/jobs?page=1&page=2", 400),
+        ("GET", "/v1/jobs/%ff/report", 400),
         ("GET", "/v1/jobs/j0/frames/x", 404),
         ("GET", "/v1/jobs/j0/results?from=x", 400),
     ] {

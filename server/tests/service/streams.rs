@@ -68,7 +68,7 @@ async fn twenty_stalled_readers_cost_a_chunk_each() {
         stalled.push(reader);
     }
     // A chunk of a megabyte becomes an Arrow batch of five: frame, tile, cone and count of each cone.
-    let most = 20 * 8 * (1 << 20);
+    let most = 20 * 10 * (1 << 20);
     let mut grown = 0;
     for _ in 0..20 {
         tokio::time::sleep(std::time::Duration::from_millis(100)).await;

@@ -89,7 +89,7 @@ pub async fn post(address: SocketAddr, path: &str, body: &Value) -> Answer {
 
 async fn put(channel: &Channel, bytes: Vec<u8>) -> String {
     let parts = [Part::Size(bytes.len() as u64), Part::Bytes(bytes.into())];
-    let parts = parts.map(|part| v1::PutBlobRequest { part: Some(part) });
+    let parts = parts.map(|part| v1::PutBlobRequest { part: Some(part), made: Some(true) });
     let reply = BlobsClient::new(channel.clone()).put(tokio_stream::iter(parts)).await.unwrap();
     reply.into_inner().digest().to_owned()
 }
