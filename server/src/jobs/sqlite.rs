@@ -4,7 +4,7 @@
 //! written in one transaction before any of their answers goes out. When they could not be written, the state is read anew.
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use futures::FutureExt as _;
@@ -37,6 +37,7 @@ const READERS: u32 = 4;
 pub struct SqliteStore {
     state: State,
     writer: SqliteConnection,
+    file: PathBuf,
     readers: SqlitePool,
     /// The state may be ahead of the database.
     unsaved: bool,
@@ -79,7 +80,7 @@ impl SqliteStore {
             .connect_lazy_with(options(path).create_if_missing(false).read_only(true));
         let mut state = load(&mut writer).await?;
         state.index(now_ms, true);
-        Ok(Self { state, writer, readers, unsaved: false, kept_jobs: KEPT_JOBS })
+        Ok(Self { state, writer, file: path.to_owned(), readers, unsaved: false, kept_jobs: KEPT_JOBS })
     }
 
     /// How many jobs that ended stay at hand.
@@ -113,8 +114,10 @@ impl SqliteStore {
         Ok(replies)
     }
 
-    /// Goes back to what the database says.
+    /// Goes back to what the database says, over a new connection: on a full disk SQLite has rolled the transaction back by
+    /// itself, and the old connection would still believe that it is inside one.
     async fn reload(&mut self, now_ms: u64) -> Result<(), StoreError> {
+        self.writer = options(&self.file).connect().await?;
         self.state = load(&mut self.writer).await?;
         self.state.index(now_ms, false);
         self.unsaved = false;
