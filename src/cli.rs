@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::cli_access::{DoctorArgs, KeysArgs};
 use crate::cli_optics::{PsfArgs, RetinaArgs, TraceArgs};
 use crate::cli_study::StudyArgs;
 
@@ -20,6 +21,12 @@ pub struct Cli {
     /// Settings file [default: photoneye.toml here, else in the user's configuration folder]
     #[arg(long, global = true, env = "PHOTONEYE_CONFIG", value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// API key to show to the server (see `photoneye keys`)
+    #[arg(long, global = true, env = "PHOTONEYE_API_KEY", value_name = "KEY", hide_env_values = true)]
+    pub api_key: Option<String>,
+    /// Certificates (PEM) to trust for https beside those of the system
+    #[arg(long, global = true, env = "PHOTONEYE_CA_CERT", value_name = "FILE")]
+    pub ca_cert: Option<PathBuf>,
     /// Say more: -v what happens, -vv everything
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub verbose: u8,
@@ -61,6 +68,10 @@ pub enum Command {
     Psf(PsfArgs),
     /// Trace given rays through the unaccommodated eye
     Trace(TraceArgs),
+    /// Make, list and revoke the API keys of a server's data folder
+    Keys(KeysArgs),
+    /// Look over data folder, database, blobs, disk, clock, port and server; say what to do
+    Doctor(DoctorArgs),
     /// Measure what the model does and what it costs; leaves tables, charts and a page
     Study(StudyArgs),
 }
@@ -129,6 +140,16 @@ pub struct ServeArgs {
     /// Pieces of work done at the same time in this process; 0: none, workers connect from elsewhere [default: 2]
     #[arg(long, env = "PHOTONEYE_WORKERS", value_name = "N")]
     pub workers: Option<usize>,
+    /// Most bytes of results and artifacts in the data folder, such as 200G; what was not read for longest is dropped and made
+    /// again when somebody asks [default: no bound]
+    #[arg(long, env = "PHOTONEYE_STORE_MAX", value_name = "BYTES")]
+    pub store_max: Option<String>,
+    /// Certificate chain, a PEM file: serve https instead of http, for REST and gRPC
+    #[arg(long, env = "PHOTONEYE_TLS_CERT", value_name = "FILE", requires = "tls_key")]
+    pub tls_cert: Option<PathBuf>,
+    /// Private key of the certificate, a PEM file
+    #[arg(long, env = "PHOTONEYE_TLS_KEY", value_name = "FILE", requires = "tls_cert")]
+    pub tls_key: Option<PathBuf>,
     /// Allow an address that others can reach, without access control
     #[arg(long, env = "PHOTONEYE_INSECURE")]
     pub insecure: bool,

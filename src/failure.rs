@@ -49,10 +49,10 @@ impl Failure {
 
 impl From<photoneye_client::ClientError> for Failure {
     fn from(error: photoneye_client::ClientError) -> Self {
-        use photoneye_client::ClientError::{Protocol, Refused, Unreachable, Url};
+        use photoneye_client::ClientError::{Key, Protocol, Refused, Tls, Unreachable, Url};
         match &error {
             Refused(status) if status.code() == tonic::Code::InvalidArgument => Self::usage(error),
-            Url(_) => Self::usage(error),
+            Url(_) | Key | Tls(_) => Self::usage(error),
             Refused(_) | Unreachable(_) | Protocol(_) => Self::failed(error),
         }
     }

@@ -2,6 +2,7 @@
 
 mod chart;
 mod cli;
+mod cli_access;
 mod cli_optics;
 mod cli_study;
 mod commands;

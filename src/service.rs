@@ -3,7 +3,6 @@
 //! Both speak the same gRPC; the one in this process does it over an in-memory connection, so that no port is taken.
 
 use std::net::SocketAddr;
-use std::path::Path;
 use std::time::Duration;
 
 use photoneye_client::Client;
@@ -15,7 +14,7 @@ use tonic::transport::Channel;
 
 use crate::cli::WhereArgs;
 use crate::failure::{Failure, plain};
-use crate::settings::{self, Settings};
+use crate::settings::{self, Place, Settings};
 
 /// How long the first answer of a server may take.
 const FIRST_ANSWER: Duration = Duration::from_secs(1);
@@ -46,14 +45,14 @@ pub struct Embedded {
 ///
 /// # Errors
 /// When the URL is wrong or nobody answers.
-pub async fn connect(url: &str) -> Result<Client, Failure> {
-    let client = Client::connect(url)?;
+pub async fn connect(place: &Place) -> Result<Client, Failure> {
+    let client = Client::connect_with(&place.url, &place.access)?;
     client
         .clone()
         .patience(FIRST_ANSWER)
         .jobs("")
         .await
-        .map_err(|error| Failure::failed(format!("{url}: {error}")))?;
+        .map_err(|error| Failure::failed(format!("{}: {error}", place.url)))?;
     Ok(client.patience(RESTART))
 }
 
@@ -63,11 +62,14 @@ impl Service {
     /// # Errors
     /// When the URL is wrong or the server in this process cannot start.
     pub async fn open(settings: &Settings, place: WhereArgs) -> Result<Self, Failure> {
-        if let Some(url) = settings.server(place.server) {
-            return Ok(Self { client: connect(&url).await?, embedded: None });
+        if let Some(server) = settings.server(place.server)? {
+            return Ok(Self { client: connect(&server).await?, embedded: None });
         }
         let data = settings.data(place.data)?;
-        let embedded = Embedded::start(&data, None, settings.workers(place.workers)).await?;
+        let mut options = photoneye_server::Options::new(&data);
+        // A free port of this machine; nobody is told which.
+        options.listen.set_port(0);
+        let embedded = Embedded::start(options, settings.workers(place.workers)).await?;
         Ok(Self { client: Client::from_channel(embedded.channel.clone()), embedded: Some(embedded) })
     }
 
@@ -80,15 +82,12 @@ impl Service {
 }
 
 impl Embedded {
-    /// Starts a server over the data folder, listening when an address is given, and `workers` leases of a worker.
+    /// Starts a server and `workers` leases of a worker.
     ///
     /// # Errors
     /// When the data folder cannot be written, the address is taken, or the worker's cache cannot be made.
-    pub async fn start(data: &Path, listen: Option<Listen>, workers: usize) -> Result<Self, Failure> {
-        let mut options = photoneye_server::Options::new(data);
-        // Without an address of its own it takes a free port of this machine; nobody is told which.
-        options.listen = listen.map_or(SocketAddr::from(([127, 0, 0, 1], 0)), |listen| listen.address);
-        options.insecure = listen.is_some_and(|listen| listen.insecure);
+    pub async fn start(options: photoneye_server::Options, workers: usize) -> Result<Self, Failure> {
+        let data = options.data_dir.clone();
         let server = Server::start(options).await.map_err(|error| start_failure(&error))?;
         let channel = server.channel();
         let stop_workers = CancellationToken::new();
@@ -101,6 +100,7 @@ impl Embedded {
                 idle_exit: None,
                 name: "in-process".into(),
                 leases: workers,
+                api_key: None,
             };
             let worker = Worker::new(channel.clone(), options).map_err(Failure::failed)?;
             Some(tokio::spawn(worker.run(stop_workers.clone())))
@@ -121,15 +121,6 @@ impl Embedded {
     }
 }
 
-/// Where to listen.
-#[derive(Clone, Copy, Debug)]
-pub struct Listen {
-    /// Address and port.
-    pub address: SocketAddr,
-    /// Whether others may reach it without access control.
-    pub insecure: bool,
-}
-
 /// What starting says, with a way out when the folder is taken.
 fn start_failure(error: &StartError) -> Failure {
     match error {
@@ -139,7 +130,7 @@ fn start_failure(error: &StartError) -> Failure {
         StartError::Listen(address, cause) => {
             Failure::failed(format!("cannot listen on {address}: {}", plain(cause)))
         }
-        StartError::Open(_) => Failure::usage(error),
+        StartError::Open(_) | StartError::Tls(..) => Failure::usage(error),
         _ => Failure::failed(error),
     }
 }

@@ -25,6 +25,47 @@ pub struct Settings {
     pub server: Option<String>,
     /// Address and port to serve on.
     pub listen: Option<String>,
+    /// API key to show to the server.
+    pub api_key: Option<String>,
+    /// Certificates to trust beside those of the system.
+    pub ca_cert: Option<PathBuf>,
+    /// Most bytes of results and artifacts in the data folder.
+    pub store_max: Option<String>,
+    /// Certificate chain to serve with.
+    pub tls_cert: Option<PathBuf>,
+    /// Its private key.
+    pub tls_key: Option<PathBuf>,
+    /// What a server accepts.
+    pub limits: Option<LimitSettings>,
+}
+
+/// Lines of `[limits]`; see the server's limits.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LimitSettings {
+    /// Jobs that are not finished.
+    pub active_jobs: Option<usize>,
+    /// Those of one tenant.
+    pub tenant_jobs: Option<usize>,
+    /// Predicted CPU seconds of one job.
+    pub job_seconds: Option<f64>,
+    /// Predicted bytes of memory of one job.
+    pub job_bytes: Option<f64>,
+    /// Predicted cones of one job.
+    pub job_cones: Option<f64>,
+    /// Predicted CPU seconds that a tenant may ask for at once.
+    pub burst_seconds: Option<f64>,
+    /// And in the long run, a second.
+    pub rate: Option<f64>,
+}
+
+/// A server and how to get in.
+#[derive(Clone, Debug)]
+pub struct Place {
+    /// http or https URL.
+    pub url: String,
+    /// API key and certificates.
+    pub access: photoneye_client::Access,
 }
 
 /// Where a server listens when nothing else is said.
@@ -81,13 +122,40 @@ impl Settings {
     }
 
     /// The server that is asked for, if any.
-    pub fn server(&self, flag: Option<String>) -> Option<String> {
-        flag.or_else(|| self.server.clone())
+    ///
+    /// # Errors
+    /// When the certificates cannot be read.
+    pub fn server(&self, flag: Option<String>) -> Result<Option<Place>, Failure> {
+        flag.or_else(|| self.server.clone()).map(|url| self.place(url)).transpose()
+    }
+
+    fn place(&self, url: String) -> Result<Place, Failure> {
+        let read = |path: &PathBuf| std::fs::read(path).map_err(|error| Failure::file("read", path, &error));
+        let ca_pem = self.ca_cert.as_ref().map(read).transpose()?;
+        Ok(Place { url, access: photoneye_client::Access { api_key: self.api_key.clone(), ca_pem } })
+    }
+
+    /// What a server accepts.
+    pub fn limits(&self) -> photoneye_server::Limits {
+        let (set, default) = (self.limits.clone().unwrap_or_default(), photoneye_server::Limits::default());
+        photoneye_server::Limits {
+            active_jobs: set.active_jobs.unwrap_or(default.active_jobs),
+            tenant_jobs: set.tenant_jobs.unwrap_or(default.tenant_jobs),
+            job_seconds: set.job_seconds.unwrap_or(default.job_seconds),
+            job_bytes: set.job_bytes.unwrap_or(default.job_bytes),
+            job_cones: set.job_cones.unwrap_or(default.job_cones),
+            burst_seconds: set.burst_seconds.unwrap_or(default.burst_seconds),
+            rate: set.rate.unwrap_or(default.rate),
+            ..default
+        }
     }
 
     /// The server that is asked for, or the one on this machine.
-    pub fn server_or_local(&self, flag: Option<String>) -> String {
-        self.server(flag).unwrap_or_else(|| format!("http://{DEFAULT_LISTEN}"))
+    ///
+    /// # Errors
+    /// When the certificates cannot be read.
+    pub fn server_or_local(&self, flag: Option<String>) -> Result<Place, Failure> {
+        self.server(flag)?.map_or_else(|| self.place(format!("http://{DEFAULT_LISTEN}")), Ok)
     }
 
     /// Most bytes of local copies.
@@ -96,14 +164,23 @@ impl Settings {
     /// When the text is not a number of bytes.
     pub fn cache_max(&self, flag: Option<String>) -> Result<u64, Failure> {
         let text = flag.or_else(|| self.cache_max.clone());
-        text.map_or(Ok(DEFAULT_CACHE_MAX), |text| {
-            bytes(&text).ok_or_else(|| {
-                Failure::usage(format!(
-                    "cache_max: `{text}` is not a number of bytes such as 20000000000 or 20G"
-                ))
-            })
-        })
+        text.map_or(Ok(DEFAULT_CACHE_MAX), |text| number_of_bytes("cache_max", &text))
     }
+
+    /// Most bytes of results and artifacts in the data folder; `None`: no bound.
+    ///
+    /// # Errors
+    /// When the text is not a number of bytes.
+    pub fn store_max(&self, flag: Option<String>) -> Result<Option<u64>, Failure> {
+        let text = flag.or_else(|| self.store_max.clone());
+        text.map(|text| number_of_bytes("store_max", &text)).transpose()
+    }
+}
+
+fn number_of_bytes(name: &str, text: &str) -> Result<u64, Failure> {
+    bytes(text).ok_or_else(|| {
+        Failure::usage(format!("{name}: `{text}` is not a number of bytes such as 20000000000 or 20G"))
+    })
 }
 
 /// `$variable`, else `below` the home folder.

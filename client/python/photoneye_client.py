@@ -5,6 +5,7 @@ Needs: pip install grpcio grpcio-tools numpy pyarrow
 
 import io
 import json
+import os
 import pathlib
 import sys
 import uuid
@@ -26,10 +27,14 @@ OPTIONS = [("grpc.max_receive_message_length", 16 << 20)]
 
 
 class Client:
-    """A connection to a server such as 127.0.0.1:7733."""
+    """A connection to a server such as 127.0.0.1:7733, or, with certificates (PEM bytes), to one that speaks TLS."""
 
-    def __init__(self, target="127.0.0.1:7733"):
-        channel = grpc.insecure_channel(target, options=OPTIONS)
+    def __init__(self, target="127.0.0.1:7733", api_key=os.environ.get("PHOTONEYE_API_KEY"), ca_pem=None):
+        if ca_pem is None:
+            channel = grpc.insecure_channel(target, options=OPTIONS)
+        else:
+            channel = grpc.secure_channel(target, grpc.ssl_channel_credentials(ca_pem), options=OPTIONS)
+        self.metadata = [("authorization", f"Bearer {api_key}")] if api_key else []
         self.experiments = jobs_grpc.ExperimentsStub(channel)
         self.blobs = blobs_grpc.BlobsStub(channel)
 
@@ -41,7 +46,7 @@ class Client:
             for start in range(0, len(data), PIECE):
                 yield blobs_pb.PutBlobRequest(bytes=data[start : start + PIECE])
 
-        return self.blobs.Put(messages()).digest
+        return self.blobs.Put(messages(), metadata=self.metadata).digest
 
     def experiment(self, path):
         """Reads a spec; uploads the pictures that it names."""
@@ -56,19 +61,20 @@ class Client:
     def run(self, experiment, request_id=None):
         """Runs an experiment; returns (counts [frame, cone], cones as a pyarrow table, report)."""
         request = jobs_pb.CreateJobRequest(experiment=experiment, request_id=request_id or str(uuid.uuid4()))
-        job = self.experiments.CreateJob(request)
+        job = self.experiments.CreateJob(request, metadata=self.metadata)
         chunks = {}
-        for message in self.experiments.StreamResults(jobs_pb.StreamResultsRequest(id=job.id)):
+        request = jobs_pb.StreamResultsRequest(id=job.id)
+        for message in self.experiments.StreamResults(request, metadata=self.metadata):
             table = pyarrow.ipc.open_stream(message.bytes).read_all()
             chunks[message.frame, message.first_cone] = table["count"].to_numpy()
-        job = self.experiments.GetJob(jobs_pb.JobRequest(id=job.id))
+        job = self.experiments.GetJob(jobs_pb.JobRequest(id=job.id), metadata=self.metadata)
         if job.state != jobs_pb.Job.SUCCEEDED:
             raise RuntimeError(job.error or jobs_pb.Job.State.Name(job.state))
         frames = sorted({frame for frame, _ in chunks})
         counts = numpy.stack([numpy.concatenate([chunks[k] for k in sorted(chunks) if k[0] == f]) for f in frames])
-        pieces = self.experiments.GetCones(jobs_pb.JobRequest(id=job.id))
+        pieces = self.experiments.GetCones(jobs_pb.JobRequest(id=job.id), metadata=self.metadata)
         cones = pyarrow.ipc.open_file(io.BytesIO(b"".join(piece.bytes for piece in pieces))).read_all()
-        report = json.loads(self.experiments.GetReport(jobs_pb.JobRequest(id=job.id)).json)
+        report = json.loads(self.experiments.GetReport(jobs_pb.JobRequest(id=job.id), metadata=self.metadata).json)
         return counts, cones, report
 
 

@@ -2,17 +2,17 @@
 
 use bytes::{Bytes, BytesMut};
 use photoneye_proto::v1;
-use tonic::transport::Channel;
 
 use crate::error::is_transient;
-use crate::{Client, ClientError, MAX_MESSAGE, Pauses, job_request};
+use crate::{Client, ClientError, Door, MAX_MESSAGE, Pauses, job_request};
 
 /// Bytes a message when uploading; the schema allows 1 MiB.
 const PIECE: usize = 512 << 10;
 
 impl Client {
-    fn blobs(&self) -> v1::blobs_client::BlobsClient<Channel> {
-        v1::blobs_client::BlobsClient::new(self.channel.clone()).max_decoding_message_size(MAX_MESSAGE)
+    fn blobs(&self) -> v1::blobs_client::BlobsClient<Door> {
+        v1::blobs_client::BlobsClient::with_interceptor(self.channel.clone(), self.key.clone())
+            .max_decoding_message_size(MAX_MESSAGE)
     }
 
     /// Uploads bytes; the answer is their digest, `b3:<hex>/<size>`. The same bytes again are one blob.
@@ -74,7 +74,7 @@ async fn retry_or_give_up(pauses: &mut Pauses, status: tonic::Status) -> Result<
 /// The messages of an upload: the declared size, then the bytes.
 fn upload(bytes: &Bytes) -> Vec<v1::PutBlobRequest> {
     use v1::put_blob_request::Part;
-    let message = |part| v1::PutBlobRequest { part: Some(part) };
+    let message = |part| v1::PutBlobRequest { part: Some(part), made: None };
     let starts = (0..bytes.len()).step_by(PIECE);
     let pieces = starts.map(|start| bytes.slice(start..(start + PIECE).min(bytes.len())));
     std::iter::once(Part::Size(bytes.len() as u64)).chain(pieces.map(Part::Bytes)).map(message).collect()

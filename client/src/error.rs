@@ -8,8 +8,14 @@ use tonic::{Code, Status};
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// The URL cannot be used.
-    #[error("`{0}` is not a server address of the form http://host:port")]
+    #[error("`{0}` is not a server address of the form http://host:port or https://host:port")]
     Url(String),
+    /// The key cannot be sent.
+    #[error("the API key is not plain text")]
+    Key,
+    /// Certificates cannot be used.
+    #[error("TLS: {0}")]
+    Tls(String),
     /// Nobody answers.
     #[error("the server cannot be reached: {0}")]
     Unreachable(String),
@@ -26,7 +32,7 @@ impl ClientError {
     pub fn code(&self) -> Option<Code> {
         match self {
             Self::Refused(status) => Some(status.code()),
-            Self::Url(_) | Self::Unreachable(_) | Self::Protocol(_) => None,
+            Self::Url(_) | Self::Key | Self::Tls(_) | Self::Unreachable(_) | Self::Protocol(_) => None,
         }
     }
 }

@@ -23,8 +23,9 @@ mod streams;
 use std::future::Future;
 use std::time::Duration;
 
-use photoneye_proto::v1;
-use tonic::transport::{Channel, Endpoint};
+use photoneye_proto::{ApiKey, v1};
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint};
 
 pub use error::ClientError;
 
@@ -38,26 +39,64 @@ const MAX_PAUSE: Duration = Duration::from_secs(2);
 /// HTTP/2 windows: the defaults cap a stream at 64 KiB a round trip.
 const STREAM_WINDOW: u32 = 4 << 20;
 const CONNECTION_WINDOW: u32 = 16 << 20;
+/// One HTTP/2 frame, bytes.
+const FRAME: u32 = 1 << 20;
 
 /// A connection to the service; cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Client {
     channel: Channel,
+    key: ApiKey,
     patience: Duration,
+}
+
+/// A channel that shows an API key with each call.
+pub(crate) type Door = InterceptedService<Channel, ApiKey>;
+
+/// How to get in where not everybody may.
+#[derive(Clone, Debug, Default)]
+pub struct Access {
+    /// The API key.
+    pub api_key: Option<String>,
+    /// Certificates (PEM) to trust for https beside those of the system.
+    pub ca_pem: Option<Vec<u8>>,
+}
+
+impl Access {
+    /// The key in the form that goes with each call.
+    ///
+    /// # Errors
+    /// When it is not plain text.
+    pub fn key(&self) -> Result<ApiKey, ClientError> {
+        self.api_key.as_deref().map_or(Ok(ApiKey::default()), |key| ApiKey::new(key).ok_or(ClientError::Key))
+    }
 }
 
 /// The channel that client and worker use: HTTP/2 windows of 4 MiB a stream and 16 MiB a connection, connected at first use.
 ///
 /// # Errors
-/// When `url` is not an http URL.
-pub fn channel(url: &str) -> Result<Channel, ClientError> {
-    let endpoint = Endpoint::from_shared(url.to_owned()).map_err(|_| ClientError::Url(url.to_owned()))?;
-    if endpoint.uri().scheme_str() != Some("http") || endpoint.uri().host().is_none() {
-        return Err(ClientError::Url(url.to_owned()));
+/// When `url` is not an http or https URL, or the certificates cannot be used.
+pub fn channel(url: &str, access: &Access) -> Result<Channel, ClientError> {
+    let wrong = || ClientError::Url(url.to_owned());
+    let mut endpoint = Endpoint::from_shared(url.to_owned()).map_err(|_| wrong())?;
+    if endpoint.uri().host().is_none() {
+        return Err(wrong());
+    }
+    match endpoint.uri().scheme_str() {
+        Some("http") => {}
+        Some("https") => {
+            let mut tls = ClientTlsConfig::new().with_native_roots();
+            if let Some(pem) = &access.ca_pem {
+                tls = tls.ca_certificate(Certificate::from_pem(pem));
+            }
+            endpoint = endpoint.tls_config(tls).map_err(|error| ClientError::Tls(error.to_string()))?;
+        }
+        _ => return Err(wrong()),
     }
     Ok(endpoint
         .initial_stream_window_size(STREAM_WINDOW)
         .initial_connection_window_size(CONNECTION_WINDOW)
+        .max_frame_size(FRAME)
         .connect_timeout(Duration::from_secs(5))
         .http2_keep_alive_interval(Duration::from_secs(20))
         .keep_alive_while_idle(true)
@@ -68,14 +107,22 @@ impl Client {
     /// A client of the server at `url`, such as `http://127.0.0.1:7733`. Connects at the first call.
     ///
     /// # Errors
-    /// When `url` is not an http URL.
+    /// When `url` is not an http or https URL.
     pub fn connect(url: &str) -> Result<Self, ClientError> {
-        Ok(Self::from_channel(channel(url)?))
+        Self::connect_with(url, &Access::default())
+    }
+
+    /// A client that shows an API key, or trusts certificates of its own.
+    ///
+    /// # Errors
+    /// When `url` is not an http or https URL, or key or certificates cannot be used.
+    pub fn connect_with(url: &str, access: &Access) -> Result<Self, ClientError> {
+        Ok(Self { key: access.key()?, ..Self::from_channel(channel(url, access)?) })
     }
 
     /// A client over a channel that exists, for example one to a server in the same process.
     pub fn from_channel(channel: Channel) -> Self {
-        Self { channel, patience: Duration::from_secs(30) }
+        Self { channel, key: ApiKey::default(), patience: Duration::from_secs(30) }
     }
 
     /// How long a call goes on trying while the server is away. Default 30 s.
@@ -84,8 +131,9 @@ impl Client {
         self
     }
 
-    fn experiments(&self) -> v1::experiments_client::ExperimentsClient<Channel> {
-        v1::experiments_client::ExperimentsClient::new(self.channel.clone())
+    fn experiments(&self) -> v1::experiments_client::ExperimentsClient<Door> {
+        let (channel, key) = (self.channel.clone(), self.key.clone());
+        v1::experiments_client::ExperimentsClient::with_interceptor(channel, key)
             .max_decoding_message_size(MAX_MESSAGE)
             .max_encoding_message_size(MAX_MESSAGE)
     }
@@ -112,8 +160,11 @@ impl Client {
         experiment: v1::Experiment,
         request_id: &str,
     ) -> Result<v1::Job, ClientError> {
-        let request =
-            v1::CreateJobRequest { experiment: Some(experiment), request_id: Some(request_id.to_owned()) };
+        let request = v1::CreateJobRequest {
+            experiment: Some(experiment),
+            request_id: Some(request_id.to_owned()),
+            priority: None,
+        };
         self.repeat(|| {
             let (mut service, request) = (self.experiments(), request.clone());
             async move { service.create_job(request).await }

@@ -29,11 +29,14 @@ fn main() -> io::Result<()> {
     fs::write(out.join("photoneye.bin"), &bytes)?;
     fs::write(out.join("openapi.json"), openapi::document(&set))?;
     json_code(&out, &set, &bytes)?;
+    let mut names = tonic_prost_build::Config::new();
+    names.enable_type_names();
     tonic_prost_build::configure()
         .bytes(PACKAGE)
         // The eye is large; without a box every future that holds an experiment is.
         .boxed(format!("{PACKAGE}.Experiment.eye"))
-        .compile_fds_with_config(set, tonic_prost_build::Config::new())
+        .codec_path("crate::strict::StrictCodec")
+        .compile_fds_with_config(set, names)
 }
 
 /// The parsed files with comments and imports, JSON names set.

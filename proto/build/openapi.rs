@@ -53,7 +53,14 @@ const ENDPOINTS: &[Endpoint] = &[
     ("get", "/v1/displays", "Display presets", None, (JSON, None)),
     ("get", "/v1/eyes", "Eye presets", None, (JSON, None)),
     ("get", "/v1/spectra", "Named spectra, as `table/column`", None, (JSON, None)),
-    ("get", "/v1/retinas", "Retina generators and their ranges", None, (JSON, None)),
+    (
+        "get",
+        "/v1/retinas",
+        "Built retinas with parameters, figures and origin; generators",
+        None,
+        (JSON, None),
+    ),
+    ("get", "/v1/workers", "Workers heard lately, what they do and use", None, (JSON, None)),
     ("get", "/healthz", "The process lives", None, (JSON, None)),
     ("get", "/readyz", "The service takes work", None, (JSON, None)),
     ("get", "/metrics", "Metrics in Prometheus' text form", None, ("text/plain", None)),
@@ -62,6 +69,15 @@ const ENDPOINTS: &[Endpoint] = &[
 /// Query and header parameters: path suffix, method, place, name, schema type, description.
 const PARAMETERS: &[(&str, &str, &str, &str, &str, &str)] = &[
     ("/v1/jobs", "post", "header", "Idempotency-Key", "string", "The same key again gives the same job"),
+    (
+        "/v1/jobs",
+        "post",
+        "query",
+        "priority",
+        "integer",
+        "0 to 9, default 5; inside a tenant the higher first",
+    ),
+    ("/v1/jobs/{id}/frames/{frame}", "get", "query", "side", "integer", "Longer side, pixels"),
     ("/v1/jobs", "get", "query", "page", "string", "`next_page` of the reply before"),
     ("/v1/jobs", "get", "query", "page_size", "integer", "1 to 200, default 50"),
     ("/v1/jobs/{id}/events", "get", "header", "Last-Event-ID", "integer", "Events after this one"),
@@ -88,7 +104,9 @@ pub fn document(set: &FileDescriptorSet) -> String {
         "info": {"title": "photoneye", "version": env!("CARGO_PKG_VERSION"),
                  "description": "How many photons each cone of an eye isomerizes while it looks at a display."},
         "paths": paths,
-        "components": {"schemas": schemas},
+        "components": {"schemas": schemas, "securitySchemes": {"key": {"type": "http", "scheme": "bearer",
+            "description": "An API key made with `photoneye keys create`; none is asked for where none was made."}}},
+        "security": [{}, {"key": []}],
     });
     document.to_string()
 }
@@ -98,10 +116,11 @@ fn operation((method, path, summary, request, (media, reply)): &Endpoint) -> Val
     let mut parameters: Vec<Value> = path
         .split('/')
         .filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'))
-        .map(|name| json!({"name": name, "in": "path", "required": true, "schema": {"type": "string"}}))
+        .map(|name| json!({"name": name, "in": "path", "required": true, "schema": bounds(name, "string")}))
         .collect();
     for (_, _, place, name, kind, text) in PARAMETERS.iter().filter(|p| p.0 == *path && p.1 == *method) {
-        parameters.push(json!({"name": name, "in": place, "description": text, "schema": {"type": kind}}));
+        parameters
+            .push(json!({"name": name, "in": place, "description": text, "schema": bounds(name, kind)}));
     }
     let schema = reply.map_or_else(|| json!({}), reference);
     let done = json!({"description": "Done", "content": {*media: {"schema": schema}}});
@@ -114,6 +133,9 @@ fn operation((method, path, summary, request, (media, reply)): &Endpoint) -> Val
         operation["responses"]["201"]["description"] = json!("A new job");
     }
     if *path == "/v1/blobs" {
+        // Always new: what was there already is written again.
+        let done = operation["responses"]["200"].take();
+        operation["responses"] = json!({"201": done, "default": operation["responses"]["default"]});
         operation["requestBody"] = json!({"required": true, "content": {BYTES: {"schema": {}}}});
     }
     if let Some(name) = request {
@@ -126,6 +148,21 @@ fn operation((method, path, summary, request, (media, reply)): &Endpoint) -> Val
         operation["parameters"] = Value::Array(parameters);
     }
     operation
+}
+
+/// What a parameter may be.
+fn bounds(name: &str, kind: &str) -> Value {
+    match name {
+        "page_size" => json!({"type": kind, "minimum": 1, "maximum": 200}),
+        "priority" => json!({"type": kind, "minimum": 0, "maximum": 9}),
+        "from" => json!({"type": kind, "minimum": 1, "maximum": u64::MAX}),
+        "Last-Event-ID" => json!({"type": kind, "minimum": 0, "maximum": u64::MAX}),
+        "side" => json!({"type": kind, "minimum": 1, "maximum": 8192}),
+        "page" => json!({"type": kind, "pattern": "^[0-9]{1,19}$"}),
+        "Idempotency-Key" => json!({"type": kind, "pattern": "^[!-~]{1,255}$"}),
+        "digest" => json!({"type": kind, "pattern": "^b3:[0-9a-f]{64}/[0-9]{1,18}$"}),
+        _ => json!({"type": kind}),
+    }
 }
 
 fn problem() -> Value {

@@ -4,9 +4,12 @@
 //! names as in the .proto files, unknown fields refused by name), the OpenAPI document and the descriptor set for reflection.
 
 mod json;
+mod key;
 mod number;
+pub mod strict;
 
 pub use json::{FieldError, experiment_from_json, from_json};
+pub use key::ApiKey;
 
 /// Messages and services of `photoneye.v1`.
 #[allow(missing_docs, clippy::all, clippy::pedantic, reason = "generated code")]

@@ -113,3 +113,36 @@ fn every_reference_of_the_openapi_document_resolves() {
     let pupil = &schemas["Eye"]["properties"]["pupil_mm"]["description"];
     assert!(pupil.as_str().unwrap().contains("0.5 to 9"));
 }
+
+/// A field or enum number that the schema does not know is refused in the binary form too, by path.
+#[test]
+fn binary_requests_are_held_against_the_schema() {
+    use photoneye_proto::strict::check;
+    let request = v1::PlanRequest {
+        experiment: Some(v1::Experiment {
+            eye: Some(Box::new(v1::Eye { pupil_mm: Some(3.0), ..v1::Eye::default() })),
+            counts: Some(v1::Counts { engine: Some(1), ..v1::Counts::default() }),
+            ..v1::Experiment::default()
+        }),
+    };
+    assert_eq!(check("photoneye.v1.PlanRequest", &request.encode_to_vec()), Ok(()));
+    let with = |experiment: &[u8]| {
+        let bytes = [&[0x0a, experiment.len() as u8], experiment].concat();
+        check("photoneye.v1.PlanRequest", &bytes).unwrap_err().to_string()
+    };
+    // Field 999 of the experiment, a number.
+    let unknown = with(&[0xb8, 0x3e, 1]);
+    assert!(
+        unknown.starts_with("experiment.#999: unknown field number 999, expected one of `eye`"),
+        "{unknown}"
+    );
+    // An engine of number 77.
+    let mut wrong = request.clone();
+    wrong.experiment.as_mut().unwrap().counts.as_mut().unwrap().engine = Some(77);
+    let message = check("photoneye.v1.PlanRequest", &wrong.encode_to_vec()).unwrap_err().to_string();
+    assert!(message.starts_with("experiment.counts.engine: unknown enum number 77"), "{message}");
+    // Bytes that are no message.
+    for broken in [&[0x0a, 0x7f][..], &[0x0a], &[0xff; 12]] {
+        assert!(check("photoneye.v1.PlanRequest", broken).is_err());
+    }
+}

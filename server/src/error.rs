@@ -26,6 +26,10 @@ pub enum Kind {
     Unavailable,
     /// The server is wrong.
     Internal,
+    /// Nobody says who asks.
+    Unauthenticated,
+    /// Who asks may not.
+    Forbidden,
 }
 
 /// What went wrong with a request.
@@ -38,12 +42,14 @@ pub struct Error {
     pub message: String,
     /// The field that is wrong.
     pub field: Option<String>,
+    /// When it may pass, seconds from now.
+    pub retry_after_s: u32,
 }
 
 impl Error {
     /// An error without a field.
     pub fn new(kind: Kind, message: impl Into<String>) -> Self {
-        Self { kind, message: message.into(), field: None }
+        Self { kind, message: message.into(), field: None, retry_after_s: 5 }
     }
 
     /// The HTTP status.
@@ -57,6 +63,8 @@ impl Error {
             Kind::Busy => StatusCode::TOO_MANY_REQUESTS,
             Kind::Unavailable => StatusCode::SERVICE_UNAVAILABLE,
             Kind::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+            Kind::Unauthenticated => StatusCode::UNAUTHORIZED,
+            Kind::Forbidden => StatusCode::FORBIDDEN,
         }
     }
 
@@ -71,6 +79,8 @@ impl Error {
             Kind::Busy => tonic::Code::ResourceExhausted,
             Kind::Unavailable => tonic::Code::Unavailable,
             Kind::Internal => tonic::Code::Internal,
+            Kind::Unauthenticated => tonic::Code::Unauthenticated,
+            Kind::Forbidden => tonic::Code::PermissionDenied,
         }
     }
 }
@@ -81,6 +91,7 @@ impl From<FieldError> for Error {
             kind: Kind::Invalid,
             message: error.message,
             field: (!error.path.is_empty()).then_some(error.path),
+            retry_after_s: 5,
         }
     }
 }
@@ -117,13 +128,17 @@ impl From<tokio::task::JoinError> for Error {
 
 impl From<Error> for tonic::Status {
     fn from(error: Error) -> Self {
-        Self::new(error.code(), error.to_string())
+        let mut status = Self::new(error.code(), error.to_string());
+        if matches!(error.kind, Kind::Busy | Kind::Unavailable) {
+            status.metadata_mut().insert("retry-after", error.retry_after_s.into());
+        }
+        status
     }
 }
 
 impl IntoResponse for Error {
     fn into_response(self) -> Response {
-        let status = self.status();
+        let (status, retry_after_s) = (self.status(), self.retry_after_s);
         let title = status.canonical_reason().unwrap_or_default();
         let mut problem =
             json!({"type": "about:blank", "title": title, "status": status.as_u16(), "detail": self.message});
@@ -133,7 +148,11 @@ impl IntoResponse for Error {
         let kind = [(header::CONTENT_TYPE, "application/problem+json")];
         let mut response = (status, kind, problem.to_string()).into_response();
         if status == StatusCode::TOO_MANY_REQUESTS || status == StatusCode::SERVICE_UNAVAILABLE {
-            response.headers_mut().insert(header::RETRY_AFTER, http::HeaderValue::from_static("5"));
+            response.headers_mut().insert(header::RETRY_AFTER, retry_after_s.into());
+        }
+        if status == StatusCode::UNAUTHORIZED {
+            let scheme = http::HeaderValue::from_static("Bearer");
+            response.headers_mut().insert(header::WWW_AUTHENTICATE, scheme);
         }
         response
     }

@@ -2,17 +2,25 @@
 //!
 //! [`Server::start`] opens the data folder, listens, and serves both doors on one port until its [`Handle`] is shut down.
 
+pub mod access;
+mod admit;
 mod cones;
+pub mod doctor;
 pub mod error;
+mod fleet;
 mod grpc;
+mod janitor;
 pub mod jobs;
 mod listen;
+mod metrics;
 mod mosaic;
+mod quota;
 mod report;
 mod rest;
 mod results;
 pub mod service;
 pub mod spec;
+mod tls;
 mod transfer;
 mod view;
 
@@ -31,9 +39,11 @@ use tonic::transport::{Channel, Endpoint, Uri};
 
 pub use service::Limits;
 
+use access::Access;
 use jobs::Machine;
 use jobs::machine::Clock;
 use jobs::sqlite::SqliteStore;
+use quota::Quota;
 use service::Service;
 
 /// How a server is set up.
@@ -45,8 +55,12 @@ pub struct Options {
     pub data_dir: PathBuf,
     /// Listen on an address that others can reach, although nobody is asked who they are.
     pub insecure: bool,
+    /// Certificate chain and private key, PEM files; without them the port speaks plain HTTP.
+    pub tls: Option<(PathBuf, PathBuf)>,
     /// What is accepted.
     pub limits: Limits,
+    /// Most bytes of blobs; `None`: as many as the disk holds.
+    pub store_max_bytes: Option<u64>,
 }
 
 impl Options {
@@ -56,7 +70,9 @@ impl Options {
             listen: SocketAddr::from(([127, 0, 0, 1], 7733)),
             data_dir: data_dir.into(),
             insecure: false,
+            tls: None,
             limits: Limits::default(),
+            store_max_bytes: None,
         }
     }
 }
@@ -65,7 +81,9 @@ impl Options {
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// Others could reach the port and nobody would be asked who they are.
-    #[error("{0} can be reached from outside; listen on 127.0.0.1 or say --insecure")]
+    #[error(
+        "{0} can be reached by others and there are no API keys: make one with `photoneye keys create`, or give --insecure if that is meant"
+    )]
     Open(SocketAddr),
     /// The port is taken, or the address is not this machine's.
     #[error("cannot listen on {0}: {1}")]
@@ -79,6 +97,9 @@ pub enum StartError {
     /// The database cannot be used.
     #[error("{0}: {1}")]
     Database(PathBuf, jobs::StoreError),
+    /// Certificate or key cannot be used.
+    #[error("{0}: {1}")]
+    Tls(PathBuf, String),
     /// The schema's descriptors are broken.
     #[error("reflection: {0}")]
     Reflection(#[from] tonic_reflection::server::Error),
@@ -94,9 +115,6 @@ impl Server {
     /// # Errors
     /// When the port is taken, or the data folder cannot be used.
     pub async fn start(options: Options) -> Result<Handle, StartError> {
-        if !options.listen.ip().is_loopback() && !options.insecure {
-            return Err(StartError::Open(options.listen));
-        }
         let listen_error = |error| StartError::Listen(options.listen, error);
         let listener = TcpListener::bind(options.listen).await.map_err(listen_error)?;
         let address = listener.local_addr().map_err(listen_error)?;
@@ -105,23 +123,39 @@ impl Server {
         let file = options.data_dir.join("photoneye.db");
         let clock = Clock::new();
         let opened = SqliteStore::open(&file, clock.now_ms()).await;
-        let store = opened.map_err(|error| StartError::Database(file, error))?;
+        let store = opened.map_err(|error| StartError::Database(file.clone(), error))?;
+        let machine = Machine::new(store, clock);
+        let limits = options.limits;
         let service = Arc::new(Service {
-            machine: Machine::new(store, clock),
-            blobs: Arc::new(blobs),
-            limits: options.limits,
+            access: Access::new(machine.documents().clone()),
+            machine,
+            blobs: Arc::new(blobs.clone()),
+            limits,
+            quota: Quota::new(limits.burst_seconds, limits.rate),
+            fleet: fleet::Fleet::default(),
+            metrics: metrics::Metrics::default(),
+            plans: admit::Plans::default(),
         });
-        let routes =
-            rest::routes(Arc::clone(&service)).merge(grpc::routes(&service).await?).fallback(rest::unknown);
+        let keys = service.access.asks().await.map_err(|error| StartError::Database(file, error))?;
+        if !options.listen.ip().is_loopback() && !options.insecure && !keys {
+            return Err(StartError::Open(options.listen));
+        }
+        let tls = options.tls.as_ref().map(|(chain, key)| tls::acceptor(chain, key)).transpose()?;
+        let routes = rest::routes(Arc::clone(&service))
+            .merge(grpc::routes(&service).await?)
+            .fallback(rest::unknown)
+            .layer(axum::middleware::from_fn_with_state(Arc::clone(&service), access::guard));
         let (sender, receiver) = mpsc::channel(16);
         let stop = CancellationToken::new();
         let serving = tokio::spawn({
             let stop = stop.clone();
             async move {
                 tokio::select! {
-                    () = listen::serve(listener, receiver, routes, stop) => {}
+                    () = listen::serve(listener, tls, receiver, routes, stop) => {}
                     () = service.machine.reap() => {}
+                    () = service.keep_size(&blobs, options.store_max_bytes) => {}
                 }
+                service.machine.stop().await;
                 drop(service);
                 drop(lock);
             }
@@ -184,6 +218,7 @@ impl Handle {
         Endpoint::from_static("http://photoneye.local")
             .initial_stream_window_size(listen::STREAM_WINDOW)
             .initial_connection_window_size(listen::CONNECTION_WINDOW)
+            .max_frame_size(listen::FRAME)
             .connect_with_connector_lazy(connect)
     }
 

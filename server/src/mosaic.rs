@@ -5,6 +5,7 @@ use photoneye_eye::retina::{RetinaGeometry, check_mosaic};
 use photoneye_proto::FieldError;
 use photoneye_store::BlobDigest;
 
+use crate::access::Caller;
 use crate::error::{Error, Kind};
 use crate::service::Service;
 
@@ -13,12 +14,16 @@ const FIELD: &str = "retina.mosaic.blob";
 
 impl Service {
     /// Refuses a mosaic that no artifact can be built from, with the line and value that are wrong.
-    pub(crate) async fn check_mosaic(&self, retina: &Retina) -> Result<(), Error> {
+    pub(crate) async fn check_mosaic(&self, caller: &Caller, retina: &Retina) -> Result<(), Error> {
         let Some(text) = &retina.mosaic else {
             return Ok(());
         };
         let digest: BlobDigest = text.parse().map_err(|_| FieldError::new(FIELD, "is not a digest"))?;
-        let bytes = match self.with_blobs(move |blobs| blobs.get(&digest)).await {
+        let found = match self.readable(caller, &digest).await {
+            Ok(()) => self.with_blobs(move |blobs| blobs.get(&digest)).await,
+            Err(error) => Err(error),
+        };
+        let bytes = match found {
             Ok(bytes) => bytes,
             Err(error) if error.kind == Kind::NotFound => {
                 return Err(FieldError::new(FIELD, format!("{}; upload it first", error.message)).into());

@@ -1,6 +1,7 @@
 //! Results: chunks in the order of commits, whole arrays, cone tables and pictures. One chunk is in memory at a time.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -45,6 +46,7 @@ impl Service {
                     Next::Chunk(mut chunk, digest) => {
                         let (frame, tile) = (chunk.frame(), chunk.tile());
                         chunk.bytes = Some(self.chunk_bytes(&id, frame, tile, digest).await?.into());
+                        self.metrics.result_bytes.fetch_add(chunk.bytes().len() as u64, Relaxed);
                         yield chunk;
                         seq += 1;
                     }

@@ -60,13 +60,18 @@ pub fn job(state: &State, job: &Job) -> v1::Job {
         error: job.error.clone(),
         result_digest: job.result_digest.clone(),
         plan: None,
-        cones: state.first_cones(job).1,
+        tenant: Some(job.tenant.clone()),
+        priority: Some(job.priority.into()),
+        cones: job.cones.or_else(|| state.first_cones(job).1),
     }
 }
 
 fn progress(state: &State, job: &Job) -> v1::Progress {
     let ready = job.artifacts.iter().filter(|key| state.ready(key)).count();
-    let builds_total = if job.state == JobState::Succeeded { ready } else { job.artifacts.len() };
+    // What was built for a job that ended may be gone by now.
+    let done = job.state == JobState::Succeeded;
+    let (ready, builds_total) =
+        if done { (job.artifacts.len(), job.artifacts.len()) } else { (ready, job.artifacts.len()) };
     let leased = job.shards.iter().any(|shard| shard.lease.phase == Phase::Leased);
     let stage = match job.state {
         JobState::Queued => "waiting for a worker".to_owned(),
@@ -80,8 +85,8 @@ fn progress(state: &State, job: &Job) -> v1::Progress {
     v1::Progress {
         builds_done: Some(ready as u32),
         builds_total: Some(builds_total as u32),
-        shards_done: Some((job.shards.len() - job.left) as u32),
-        shards_total: Some(job.shards.len() as u32),
+        shards_done: Some(job.shard_count - job.left as u32),
+        shards_total: Some(job.shard_count),
         stage: Some(stage),
     }
 }

@@ -8,7 +8,7 @@ use crate::service::connect;
 
 /// Runs the command.
 pub async fn run(context: Context, args: JobArgs) -> Result<(), Failure> {
-    let client = connect(&context.settings.server_or_local(args.server.server)).await?;
+    let client = connect(&context.settings.server_or_local(args.server.server)?).await?;
     let job = client.cancel(&args.id).await?;
     if context.json {
         return output::json(&job);

@@ -8,7 +8,7 @@ use crate::service::connect;
 
 /// Runs the command.
 pub async fn run(context: Context, args: ServerArgs) -> Result<(), Failure> {
-    let client = connect(&context.settings.server_or_local(args.server)).await?;
+    let client = connect(&context.settings.server_or_local(args.server)?).await?;
     let mut page = String::new();
     loop {
         let reply = client.jobs(&page).await?;

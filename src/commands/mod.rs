@@ -2,8 +2,10 @@
 
 mod cancel;
 mod displays;
+mod doctor;
 mod eyes;
 mod jobs;
+mod keys;
 mod plan;
 mod psf;
 mod render;
@@ -37,7 +39,10 @@ pub struct Context {
 /// # Errors
 /// Why it could not be done.
 pub fn run(cli: Cli) -> Result<(), Failure> {
-    let context = Context { settings: Settings::load(cli.config.as_deref())?, json: cli.json };
+    let mut settings = Settings::load(cli.config.as_deref())?;
+    settings.api_key = cli.api_key.or(settings.api_key);
+    settings.ca_cert = cli.ca_cert.or(settings.ca_cert);
+    let context = Context { settings, json: cli.json };
     match cli.command {
         Command::Run(args) => block_on(run::run(context, args)),
         Command::Plan(args) => block_on(plan::run(context, args)),
@@ -54,6 +59,8 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Eyes => eyes::run(&context),
         Command::Psf(args) => psf::run(&context, &args),
         Command::Trace(args) => trace::run(&context, &args),
+        Command::Keys(args) => block_on(keys::run(context, args)),
+        Command::Doctor(args) => block_on(doctor::run(context, args)),
         Command::Study(args) => study::run(&context, &args),
     }
 }

@@ -11,7 +11,7 @@ use crate::service::connect;
 /// Runs the command.
 pub async fn run(context: Context, args: ResultsArgs) -> Result<(), Failure> {
     let draft = Draft::new(&args.out)?;
-    let client = connect(&context.settings.server_or_local(args.job.server.server)).await?;
+    let client = connect(&context.settings.server_or_local(args.job.server.server)?).await?;
     let stop = super::interrupted();
     let work = async {
         let job = follow(&client, &args.job.id, Progress::new(context.json)).await?;

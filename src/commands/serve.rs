@@ -6,7 +6,7 @@ use super::{Context, interrupted};
 use crate::cli::ServeArgs;
 use crate::failure::Failure;
 use crate::output;
-use crate::service::{Embedded, Listen};
+use crate::service::Embedded;
 use crate::settings::DEFAULT_LISTEN;
 
 /// Runs the command until it is interrupted.
@@ -16,21 +16,23 @@ pub async fn run(context: Context, args: ServeArgs) -> Result<(), Failure> {
     let address: SocketAddr = text.parse().map_err(|_| {
         Failure::usage(format!("`{text}` is not an address and port such as {DEFAULT_LISTEN}"))
     })?;
-    let insecure = args.insecure;
-    if !address.ip().is_loopback() && !insecure {
-        return Err(Failure::usage(format!(
-            "{address} can be reached by others and there is no access control: give --insecure if that is meant"
-        )));
-    }
     let data = settings.data(args.data)?;
+    let mut options = photoneye_server::Options::new(&data);
+    (options.listen, options.insecure, options.limits) = (address, args.insecure, settings.limits());
+    options.store_max_bytes = settings.store_max(args.store_max)?;
+    let of_file = settings.tls_cert.clone().zip(settings.tls_key.clone());
+    options.tls = args.tls_cert.zip(args.tls_key).or(of_file);
+    let scheme = if options.tls.is_some() { "https" } else { "http" };
+    if !address.ip().is_loopback() && options.tls.is_none() {
+        output::note(format_args!("keys and results travel unencrypted: see --tls-cert and --tls-key"));
+    }
     let stop = interrupted();
-    let listen = Listen { address, insecure };
-    let server = Embedded::start(&data, Some(listen), settings.workers(args.workers)).await?;
+    let server = Embedded::start(options, settings.workers(args.workers)).await?;
     let address = server.address;
     if context.json {
-        output::json_line(&serde_json::json!({"listening": format!("http://{address}"), "data": data}))?;
+        output::json_line(&serde_json::json!({"listening": format!("{scheme}://{address}"), "data": data}))?;
     } else {
-        output::line(format_args!("listening on http://{address}, data in {}", data.display()))?;
+        output::line(format_args!("listening on {scheme}://{address}, data in {}", data.display()))?;
     }
     stop.await;
     server.stop(true).await;

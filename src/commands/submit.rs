@@ -10,7 +10,7 @@ use crate::service::connect;
 /// Runs the command.
 pub async fn run(context: Context, args: SubmitArgs) -> Result<(), Failure> {
     let mut experiment = ExperimentFile::read(&args.spec.spec, &args.spec.set)?;
-    let client = connect(&context.settings.server_or_local(args.server.server)).await?;
+    let client = connect(&context.settings.server_or_local(args.server.server)?).await?;
     experiment.upload(&client).await?;
     let key = args.request_id.unwrap_or_else(request_id);
     let job = client.create_job(experiment.experiment.clone(), &key).await;

@@ -11,7 +11,7 @@ use crate::service::connect;
 
 /// Runs the command.
 pub async fn run(context: Context, args: JobArgs) -> Result<(), Failure> {
-    let client = connect(&context.settings.server_or_local(args.server.server)).await?;
+    let client = connect(&context.settings.server_or_local(args.server.server)?).await?;
     if context.json {
         let mut events = std::pin::pin!(client.watch(&args.id, 0));
         while let Some(event) = events.next().await {

@@ -13,7 +13,7 @@ use crate::output;
 /// Runs the command until it is interrupted or has been idle for long enough.
 pub async fn run(context: Context, args: WorkerArgs) -> Result<(), Failure> {
     let settings = context.settings;
-    let url = settings.server(args.server).ok_or_else(|| {
+    let place = settings.server(args.server)?.ok_or_else(|| {
         Failure::usage("which server? Give --server http://host:port or set PHOTONEYE_SERVER")
     })?;
     let cache = args.cache.or_else(|| settings.cache.clone());
@@ -25,9 +25,11 @@ pub async fn run(context: Context, args: WorkerArgs) -> Result<(), Failure> {
         idle_exit: idle_exit.map_err(|_| Failure::usage("--idle-exit is not a number of seconds"))?,
         name: args.name.unwrap_or_else(default_name),
         leases: settings.workers(args.workers).max(1),
+        api_key: place.access.api_key.clone(),
     };
     let stop = interrupted();
-    let channel = photoneye_client::channel(&url)?;
+    let channel = photoneye_client::channel(&place.url, &place.access)?;
+    let url = &place.url;
     output::note(format_args!("working for {url}, local copies in {}", options.cache_dir.display()));
     let worker = Worker::new(channel, options).map_err(Failure::failed)?;
     let shutdown = CancellationToken::new();

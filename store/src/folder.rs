@@ -51,6 +51,39 @@ impl FolderStore {
         self.root.join("blobs").join(&hex[..2]).join(format!("{hex}-{}", digest.size))
     }
 
+    /// Digests of the blobs in the folder, oldest first; their bytes are not looked at.
+    pub fn list(&self) -> Vec<BlobDigest> {
+        self.list_with_times().into_iter().map(|(_, digest)| digest).collect()
+    }
+
+    /// The same with the time when each was last written or read.
+    pub fn list_with_times(&self) -> Vec<(SystemTime, BlobDigest)> {
+        let mut found: Vec<(SystemTime, BlobDigest)> = Vec::new();
+        for shelf in fs::read_dir(self.root.join("blobs")).into_iter().flatten().flatten() {
+            for file in fs::read_dir(shelf.path()).into_iter().flatten().flatten() {
+                let name = file.file_name().to_string_lossy().replacen('-', "/", 1);
+                let modified = file.metadata().and_then(|data| data.modified());
+                if let (Ok(digest), Ok(time)) = (format!("b3:{name}").parse(), modified) {
+                    found.push((time, digest));
+                }
+            }
+        }
+        found.sort_unstable();
+        found
+    }
+
+    /// Removes a blob; it is no error when it is not there.
+    ///
+    /// # Errors
+    /// When the file cannot be removed.
+    pub fn remove(&self, digest: &BlobDigest) -> Result<(), StoreError> {
+        let path = self.path(digest);
+        match fs::remove_file(&path) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => Err(io_error("remove", &path, e)),
+            Ok(()) | Err(_) => Ok(()),
+        }
+    }
+
     fn remove_stale(&self) {
         let Ok(entries) = fs::read_dir(self.root.join("tmp")) else {
             return;
@@ -67,7 +100,11 @@ impl FolderStore {
     fn open_file(&self, digest: &BlobDigest) -> Result<(File, PathBuf), StoreError> {
         let path = self.path(digest);
         match File::open(&path) {
-            Ok(file) => Ok((file, path)),
+            Ok(file) => {
+                // Read lately: eviction takes others first. A file system that keeps no times loses nothing else.
+                let _ = file.set_modified(SystemTime::now());
+                Ok((file, path))
+            }
             Err(e) if e.kind() == io::ErrorKind::NotFound => Err(StoreError::Missing(*digest)),
             Err(e) => Err(io_error("read", &path, e)),
         }

@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::SystemTime;
 
 use photoneye_proto::v1::ArtifactRef;
 use photoneye_store::{BlobDigest, Blobs as _, FolderStore, Mapped, StoreError};
@@ -74,7 +73,7 @@ impl Cache {
     pub(crate) fn open(folder: &Path, max_bytes: u64, remote: Remote) -> Result<Self, StoreError> {
         let folder = FolderStore::open(folder)?;
         let mut used = Used::default();
-        for digest in stock(&folder) {
+        for digest in folder.list() {
             used.touch(digest);
         }
         for digest in used.overflow(max_bytes) {
@@ -144,6 +143,11 @@ impl Cache {
         Ok(map)
     }
 
+    /// Bytes of local copies.
+    pub(crate) fn bytes(&self) -> u64 {
+        self.used().bytes
+    }
+
     /// Keys of artifacts that are here, for the server to prefer this worker.
     pub(crate) fn artifact_keys(&self) -> Vec<String> {
         let mut keys: Vec<String> = self.used().artifacts.values().take(MAX_HOLDS).cloned().collect();
@@ -160,23 +164,6 @@ impl Cache {
     }
 }
 
-/// Blobs that are in the folder, oldest first.
-fn stock(folder: &FolderStore) -> Vec<BlobDigest> {
-    let mut found: Vec<(SystemTime, BlobDigest)> = Vec::new();
-    let shelves = std::fs::read_dir(folder.root().join("blobs")).into_iter().flatten().flatten();
-    for shelf in shelves {
-        for file in std::fs::read_dir(shelf.path()).into_iter().flatten().flatten() {
-            let name = file.file_name().to_string_lossy().replacen('-', "/", 1);
-            let modified = file.metadata().and_then(|data| data.modified());
-            if let (Ok(digest), Ok(time)) = (format!("b3:{name}").parse(), modified) {
-                found.push((time, digest));
-            }
-        }
-    }
-    found.sort_unstable();
-    found.into_iter().map(|(_, digest)| digest).collect()
-}
-
 fn remove(folder: &FolderStore, digest: &BlobDigest) {
     if let Err(error) = std::fs::remove_file(folder.path(digest)) {
         tracing::debug!(%digest, %error, "a local copy could not be removed");
@@ -188,7 +175,8 @@ mod tests {
     use super::*;
 
     fn lazy_remote() -> Remote {
-        Remote::new(tonic::transport::Endpoint::from_static("http://127.0.0.1:1").connect_lazy())
+        let channel = tonic::transport::Endpoint::from_static("http://127.0.0.1:1").connect_lazy();
+        Remote::new(channel, photoneye_proto::ApiKey::default())
     }
 
     #[tokio::test]

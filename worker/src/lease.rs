@@ -10,8 +10,11 @@ use photoneye_eye::report::WorkReport;
 use photoneye_proto::v1;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use crate::WorkError;
 use crate::remote::{Remote, repeat};
+use crate::{Shared, WorkError, memory};
+
+/// When the first heartbeat comes.
+const FIRST_BEAT: Duration = Duration::from_secs(1);
 
 /// What the heartbeat tells.
 #[derive(Clone, Debug, Default)]
@@ -38,13 +41,14 @@ pub(crate) struct Done {
 
 impl Lease {
     /// Starts the heartbeat of a lease that was just given.
-    pub(crate) fn start(remote: &Remote, id: String, reply: &v1::LeaseReply) -> Self {
+    pub(crate) fn start(shared: &Arc<Shared>, worker: &str, id: String, reply: &v1::LeaseReply) -> Self {
         let time_to_live = Duration::from_millis(u64::from(reply.ttl_ms().max(300)));
         let gone = CancellationToken::new();
         let ended = CancellationToken::new();
         let progress = Arc::new(Mutex::new(Progress::default()));
         let heartbeat = Heartbeat {
-            remote: remote.clone(),
+            shared: Arc::clone(shared),
+            worker: worker.to_owned(),
             id: id.clone(),
             fence: reply.fence(),
             progress: Arc::clone(&progress),
@@ -116,7 +120,8 @@ impl Lease {
 
 /// The task that keeps a lease alive.
 struct Heartbeat {
-    remote: Remote,
+    shared: Arc<Shared>,
+    worker: String,
     id: String,
     fence: u64,
     progress: Arc<Mutex<Progress>>,
@@ -126,16 +131,23 @@ impl Heartbeat {
     /// Returns when the lease is gone.
     async fn beat(self, time_to_live: Duration) {
         let mut heard = Instant::now();
+        // The first one comes early, so that people see what long work is about.
+        let mut pause = (time_to_live / 3).min(FIRST_BEAT);
         loop {
-            tokio::time::sleep(time_to_live / 3).await;
+            tokio::time::sleep(pause).await;
+            pause = time_to_live / 3;
             let progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner).clone();
             let request = v1::HeartbeatRequest {
                 id: Some(self.id.clone()),
                 fence: Some(self.fence),
                 progress: Some(progress.part),
                 stage: Some(progress.stage),
+                worker: Some(self.worker.clone()),
+                memory_bytes: Some(memory::now_bytes()),
+                cpu_seconds: Some(memory::cpu_seconds()),
+                cache_bytes: Some(self.shared.cache.bytes()),
             };
-            let mut service = self.remote.workers();
+            let mut service = self.shared.remote.workers();
             match tokio::time::timeout(time_to_live / 3, service.heartbeat(request)).await {
                 Ok(Ok(reply)) if reply.get_ref().keep() => heard = Instant::now(),
                 Ok(Ok(_)) => return,

@@ -17,11 +17,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use photoneye_proto::v1;
+use photoneye_proto::{ApiKey, v1};
 use photoneye_store::{StoreError, table::TableError};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 use tonic::transport::Channel;
+use tracing::Instrument as _;
 
 use cache::Cache;
 use lease::Lease;
@@ -41,6 +42,8 @@ pub struct Options {
     pub name: String,
     /// Leases worked on at the same time, 1 or more.
     pub leases: usize,
+    /// API key to show; `None` where none is asked for.
+    pub api_key: Option<String>,
 }
 
 /// Why a worker cannot start.
@@ -49,6 +52,9 @@ pub enum Error {
     /// The cache folder cannot be used.
     #[error(transparent)]
     Cache(#[from] StoreError),
+    /// The key cannot be sent.
+    #[error("the API key is not plain text")]
+    Key,
 }
 
 /// Why a piece of work did not end with a commit.
@@ -96,7 +102,8 @@ impl Worker {
     /// # Errors
     /// When the cache folder cannot be made or written.
     pub fn new(server: Channel, options: Options) -> Result<Self, Error> {
-        let remote = Remote::new(server);
+        let key = options.api_key.as_deref().map_or(Some(ApiKey::default()), ApiKey::new);
+        let remote = Remote::new(server, key.ok_or(Error::Key)?);
         let shared = Shared {
             cache: Cache::open(&options.cache_dir, options.cache_max_bytes, remote.clone())?,
             remote,
@@ -143,7 +150,8 @@ async fn take_leases(
             }
             continue;
         };
-        do_work(shared, Lease::start(&shared.remote, id, &reply), work).await;
+        let span = tracing::info_span!("work", lease = id, fence = reply.fence());
+        do_work(shared, Lease::start(shared, name, id, &reply), work).instrument(span).await;
         last_work = Instant::now();
     }
 }

@@ -4,8 +4,9 @@ use std::future::Future;
 use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
-use photoneye_proto::v1;
+use photoneye_proto::{ApiKey, v1};
 use photoneye_store::BlobDigest;
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Channel;
 use tonic::{Code, Status};
 
@@ -25,19 +26,25 @@ const MAX_MESSAGE: usize = 16 << 20;
 #[derive(Clone)]
 pub(crate) struct Remote {
     channel: Channel,
+    key: ApiKey,
 }
 
+/// A channel that shows the worker's API key with each call.
+type Door = InterceptedService<Channel, ApiKey>;
+
 impl Remote {
-    pub(crate) fn new(channel: Channel) -> Self {
-        Self { channel }
+    pub(crate) fn new(channel: Channel, key: ApiKey) -> Self {
+        Self { channel, key }
     }
 
-    pub(crate) fn workers(&self) -> v1::workers_client::WorkersClient<Channel> {
-        v1::workers_client::WorkersClient::new(self.channel.clone()).max_decoding_message_size(MAX_MESSAGE)
+    pub(crate) fn workers(&self) -> v1::workers_client::WorkersClient<Door> {
+        v1::workers_client::WorkersClient::with_interceptor(self.channel.clone(), self.key.clone())
+            .max_decoding_message_size(MAX_MESSAGE)
     }
 
-    fn blobs(&self) -> v1::blobs_client::BlobsClient<Channel> {
-        v1::blobs_client::BlobsClient::new(self.channel.clone()).max_decoding_message_size(MAX_MESSAGE)
+    fn blobs(&self) -> v1::blobs_client::BlobsClient<Door> {
+        v1::blobs_client::BlobsClient::with_interceptor(self.channel.clone(), self.key.clone())
+            .max_decoding_message_size(MAX_MESSAGE)
     }
 
     /// Asks for work once; while the server is away, waits a little and answers "nothing".
@@ -50,8 +57,13 @@ impl Remote {
         match self.workers().lease(request).await {
             Ok(reply) => reply.into_inner(),
             Err(status) => {
-                tracing::debug!(%status, "no lease");
-                tokio::time::sleep(MAX_PAUSE / 4).await;
+                let refused = matches!(status.code(), Code::Unauthenticated | Code::PermissionDenied);
+                if refused {
+                    tracing::error!(message = status.message(), "the server refuses this worker");
+                } else {
+                    tracing::debug!(%status, "no lease");
+                }
+                tokio::time::sleep(if refused { 2 * MAX_PAUSE } else { MAX_PAUSE / 4 }).await;
                 v1::LeaseReply::default()
             }
         }
@@ -127,6 +139,6 @@ fn upload(bytes: &Bytes) -> Vec<v1::PutBlobRequest> {
     let pieces = starts.map(|start| bytes.slice(start..(start + PIECE).min(bytes.len())));
     std::iter::once(Part::Size(bytes.len() as u64))
         .chain(pieces.map(Part::Bytes))
-        .map(|part| v1::PutBlobRequest { part: Some(part) })
+        .map(|part| v1::PutBlobRequest { part: Some(part), made: Some(true) })
         .collect()
 }

@@ -14,6 +14,7 @@ use photoneye_proto::v1::workers_server::WorkersServer;
 use tonic::Status;
 use tonic::service::Routes;
 
+use crate::access::Caller;
 use crate::service::Service;
 
 /// Largest message, bytes.
@@ -34,7 +35,9 @@ pub async fn routes(service: &Arc<Service>) -> Result<Router, tonic_reflection::
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
     let (health, health_service) = tonic_health::server::health_reporter();
-    health.set_service_status("photoneye.v1.Experiments", tonic_health::ServingStatus::Serving).await;
+    for name in ["photoneye.v1.Experiments", "photoneye.v1.Blobs", "photoneye.v1.Workers"] {
+        health.set_service_status(name, tonic_health::ServingStatus::Serving).await;
+    }
     let experiments = experiments::Door(Arc::clone(service));
     let mut routes = Routes::builder();
     routes
@@ -49,6 +52,12 @@ pub async fn routes(service: &Arc<Service>) -> Result<Router, tonic_reflection::
         .add_service(reflection().build_v1()?)
         .add_service(reflection().build_v1alpha()?);
     Ok(routes.routes().into_axum_router().reset_fallback())
+}
+
+/// Who asks; the guard in front of the door has found out.
+fn caller<T>(request: &tonic::Request<T>) -> Result<Caller, Status> {
+    let caller = request.extensions().get::<Caller>().cloned();
+    caller.ok_or_else(|| Status::unauthenticated("nobody says who asks"))
 }
 
 /// A field without which the request means nothing.

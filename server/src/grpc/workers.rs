@@ -1,6 +1,7 @@
 //! Work from the server's side, over gRPC.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use photoneye_proto::v1;
@@ -12,6 +13,7 @@ use tonic::{Request, Response, Status};
 
 use super::{Local, needed};
 use crate::error::{Error, Kind};
+use crate::fleet::Word;
 use crate::jobs::lease::TTL_MS;
 use crate::jobs::state::{Summary, WorkId};
 use crate::jobs::{Command, Commit, Reply, State};
@@ -27,6 +29,7 @@ impl Workers for Door {
     async fn lease(&self, request: Request<v1::LeaseRequest>) -> Result<Response<v1::LeaseReply>, Status> {
         let local = request.extensions().get::<Local>().is_some();
         let request = request.into_inner();
+        self.0.fleet.heard(request.worker(), |word| *word = Word::default());
         let wait = Duration::from_millis(u64::from(request.wait_ms().min(MAX_WAIT_MS)));
         let until = tokio::time::Instant::now() + wait;
         let holds = request.holds.iter().cloned().collect();
@@ -42,6 +45,7 @@ impl Workers for Door {
             };
             // Inputs whose bytes are gone are built again first.
             if let Some(work) = self.work(&id).await? {
+                tracing::debug!(work = %id, fence, worker = request.worker(), "leased");
                 return Ok(Response::new(v1::LeaseReply {
                     work: Some(work),
                     id: Some(id.to_string()),
@@ -58,6 +62,16 @@ impl Workers for Door {
         request: Request<v1::HeartbeatRequest>,
     ) -> Result<Response<v1::HeartbeatReply>, Status> {
         let request = request.into_inner();
+        self.0.fleet.heard(request.worker(), |word| {
+            *word = Word {
+                work: request.id().to_owned(),
+                stage: request.stage().chars().take(200).collect(),
+                progress: request.progress(),
+                memory_bytes: request.memory_bytes(),
+                cpu_seconds: request.cpu_seconds(),
+                cache_bytes: request.cache_bytes(),
+            };
+        });
         let keep = self
             .held(Command::Beat {
                 id: work_id(request.id())?,
@@ -90,9 +104,14 @@ impl Workers for Door {
             id: request.id.as_deref().map_or_else(|| work_id(""), work_id)?,
             fence: needed("fence", request.fence)?,
             commit,
-            report_json: request.report_json,
+            report_json: request.report_json.clone(),
         };
-        Ok(Response::new(v1::CommitReply { accepted: Some(self.held(command).await?) }))
+        let accepted = self.held(command).await?;
+        if accepted && let Some(report) = &request.report_json {
+            self.0.metrics.worked(report);
+        }
+        tracing::debug!(work = request.id, accepted, "commit");
+        Ok(Response::new(v1::CommitReply { accepted: Some(accepted) }))
     }
 
     async fn fail(&self, request: Request<v1::FailRequest>) -> Result<Response<v1::FailReply>, Status> {
@@ -114,7 +133,12 @@ impl Door {
     /// Whether the worker held its lease.
     async fn held(&self, command: Command) -> Result<bool, Status> {
         match self.0.machine.execute(command).await.map_err(Error::from)? {
-            Reply::Held(held) => Ok(held),
+            Reply::Held(held) => {
+                if !held {
+                    self.0.metrics.fenced.fetch_add(1, Ordering::Relaxed);
+                }
+                Ok(held)
+            }
             Reply::Unfit(reason) => Err(Error::new(Kind::Invalid, reason).into()),
             other => Err(unexpected(&other).into()),
         }

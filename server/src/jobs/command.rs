@@ -66,6 +66,8 @@ pub enum Command {
     LostArtifact(String),
     /// A result's bytes are missing or damaged: job, frame, tile.
     LostChunk(String, u32, u32),
+    /// Something to be kept on record.
+    Note(Record),
 }
 
 /// A job to be accepted.
@@ -91,6 +93,12 @@ pub struct NewJob {
     pub shard_us: u64,
     /// Request id and digest of the request's body.
     pub request: Option<(String, String)>,
+    /// Whose it is.
+    pub tenant: String,
+    /// 0 to 9; the higher is served first, among the jobs of one tenant.
+    pub priority: u8,
+    /// Who sent it, for the audit.
+    pub by: String,
 }
 
 /// An artifact that a job needs.
@@ -156,6 +164,38 @@ pub enum Row {
     Request(String),
 }
 
+/// Something kept on record that the machine itself never reads.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Record {
+    /// Who did what to which job, key or blob.
+    Audit {
+        /// Whose it is.
+        tenant: String,
+        /// Id of the key, or the name of the worker.
+        who: String,
+        /// What was done.
+        action: &'static str,
+        /// To what.
+        object: String,
+    },
+    /// A tenant has uploaded bytes.
+    Upload {
+        /// Whose they are.
+        tenant: String,
+        /// The bytes.
+        digest: BlobDigest,
+    },
+    /// The same work gave other bytes. Both are kept.
+    Alarm {
+        /// The work.
+        work: String,
+        /// What it gave first.
+        first: BlobDigest,
+        /// What it gave now.
+        second: BlobDigest,
+    },
+}
+
 /// What a step did.
 #[derive(Clone, Debug)]
 pub struct Effects {
@@ -165,4 +205,6 @@ pub struct Effects {
     pub rows: BTreeSet<Row>,
     /// Texts to be kept, by name.
     pub documents: Vec<(String, String)>,
+    /// Things to be kept on record.
+    pub records: Vec<Record>,
 }

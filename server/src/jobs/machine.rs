@@ -4,26 +4,42 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
-use tokio::sync::{Mutex, watch};
+use tokio::sync::{Mutex, mpsc, oneshot, watch};
+use tokio_util::sync::CancellationToken;
 
 use super::command::{Command, Reply};
 use super::state::{State, WorkId};
-use super::store::{JobStore, StoreError};
+use super::store::{Documents, JobStore, StoreError};
 
 /// How often leases are looked over.
 const REAP_EVERY: Duration = Duration::from_secs(1);
 
-/// Runs steps one after the other.
+/// Commands that are made durable together, at most.
+const BATCH: usize = 64;
+
+type Waiting = (Command, oneshot::Sender<Result<Reply, StoreError>>);
+
+/// Runs steps one after the other; what waits while one transaction is written goes into the next one together.
 pub struct Machine {
     store: Arc<Mutex<Box<dyn JobStore>>>,
+    documents: Documents,
+    queue: mpsc::Sender<Waiting>,
     changed: Arc<watch::Sender<u64>>,
     clock: Clock,
+    stopped: CancellationToken,
 }
 
 impl Machine {
-    /// A machine over a store.
+    /// A machine over a store. Must be called inside a runtime.
     pub fn new(store: impl JobStore + 'static, clock: Clock) -> Self {
-        Self { store: Arc::new(Mutex::new(Box::new(store))), changed: Arc::new(watch::Sender::new(0)), clock }
+        let documents = store.documents();
+        let store: Arc<Mutex<Box<dyn JobStore>>> = Arc::new(Mutex::new(Box::new(store)));
+        let changed = Arc::new(watch::Sender::new(0));
+        let (queue, waiting) = mpsc::channel(1024);
+        let stopped = CancellationToken::new();
+        // A task of its own: a caller that goes away does not leave a transaction half done.
+        tokio::spawn(write(Arc::clone(&store), waiting, Arc::clone(&changed), clock, stopped.clone()));
+        Self { store, documents, queue, changed, clock, stopped }
     }
 
     /// Carries out a command.
@@ -31,27 +47,31 @@ impl Machine {
     /// # Errors
     /// When the store could not keep what it changed; then nothing was changed.
     pub async fn execute(&self, command: Command) -> Result<Reply, StoreError> {
-        // A task of its own: a caller that goes away does not leave a transaction half done.
-        let (store, changed, clock) = (Arc::clone(&self.store), Arc::clone(&self.changed), self.clock);
-        let task = tokio::spawn(async move {
-            let mut store = store.lock().await;
-            let leased = store.state().leased.len();
-            let beat = matches!(command, Command::Beat { .. });
-            let reap = matches!(command, Command::Reap);
-            let reply = store.execute(command, clock.now_ms()).await?;
-            let idle = beat || reply == Reply::Leased(None) || (reap && store.state().leased.len() == leased);
-            drop(store);
-            if !idle {
-                changed.send_modify(|count| *count += 1);
-            }
-            Ok(reply)
-        });
-        task.await.map_err(|error| StoreError::Died(error.to_string()))?
+        let (sender, reply) = oneshot::channel();
+        self.queue.send((command, sender)).await.map_err(|_| StoreError::Stopped)?;
+        reply.await.map_err(|_| StoreError::Stopped)?
     }
 
-    /// Looks at the state.
+    /// Looks at what is at work.
     pub async fn read<T>(&self, look: impl FnOnce(&State) -> T) -> T {
         look(self.store.lock().await.state())
+    }
+
+    /// Looks at the state with a job in it that may have ended long ago.
+    ///
+    /// # Errors
+    /// When the store cannot read it.
+    pub async fn read_job<T>(&self, id: &str, look: impl FnOnce(&State) -> T) -> Result<T, StoreError> {
+        let mut store = self.store.lock().await;
+        if !store.state().jobs.contains_key(id) {
+            store.recall_job(id).await?;
+        }
+        Ok(look(store.state()))
+    }
+
+    /// Texts and lists, read beside the writer.
+    pub fn documents(&self) -> &Documents {
+        &self.documents
     }
 
     /// One of the store's texts.
@@ -59,8 +79,18 @@ impl Machine {
     /// # Errors
     /// When the store cannot read.
     pub async fn document(&self, id: &str) -> Result<Option<String>, StoreError> {
-        let documents = self.store.lock().await.documents();
-        documents.get(id).await
+        self.documents.get(id).await
+    }
+
+    /// The machine's time, ms since 1970.
+    pub fn now_ms(&self) -> u64 {
+        self.clock.now_ms()
+    }
+
+    /// Nothing is written any more when this returns.
+    pub async fn stop(&self) {
+        self.stopped.cancel();
+        drop(self.store.lock().await);
     }
 
     /// Rings after every change.
@@ -101,6 +131,84 @@ impl Machine {
             tick.tick().await;
             if let Err(error) = self.execute(Command::Reap).await {
                 tracing::error!(%error, "cannot look leases over");
+            }
+        }
+    }
+}
+
+/// Whether others want to know about a command.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Silent,
+    Reap,
+    Other,
+}
+
+impl Kind {
+    fn of(command: &Command) -> Self {
+        match command {
+            Command::Beat { .. } | Command::Note(_) => Self::Silent,
+            Command::Reap => Self::Reap,
+            Command::Create(_)
+            | Command::Lease { .. }
+            | Command::Commit { .. }
+            | Command::Fail { .. }
+            | Command::Release { .. }
+            | Command::Cancel(_)
+            | Command::LostArtifact(_)
+            | Command::LostChunk(..) => Self::Other,
+        }
+    }
+
+    fn rings(self, reply: &Reply, freed: bool) -> bool {
+        match self {
+            Self::Silent => false,
+            Self::Reap => freed,
+            Self::Other => !matches!(reply, Reply::Leased(None) | Reply::Held(false)),
+        }
+    }
+}
+
+/// Carries out what waits, a batch a transaction, until the machine is gone or stopped.
+async fn write(
+    store: Arc<Mutex<Box<dyn JobStore>>>,
+    mut waiting: mpsc::Receiver<Waiting>,
+    changed: Arc<watch::Sender<u64>>,
+    clock: Clock,
+    stopped: CancellationToken,
+) {
+    let mut batch = Vec::with_capacity(BATCH);
+    loop {
+        tokio::select! {
+            biased;
+            () = stopped.cancelled() => return,
+            count = waiting.recv_many(&mut batch, BATCH) => if count == 0 { return },
+        }
+        let (commands, senders): (Vec<_>, Vec<_>) = batch.drain(..).unzip();
+        let kinds: Vec<Kind> = commands.iter().map(Kind::of).collect();
+        let mut store = store.lock().await;
+        if stopped.is_cancelled() {
+            return;
+        }
+        let leased = store.state().leased.len();
+        let result = store.execute_all(commands, clock.now_ms()).await;
+        let freed = store.state().leased.len() != leased;
+        drop(store);
+        match result {
+            Ok(replies) => {
+                if kinds.iter().zip(&replies).any(|(kind, reply)| kind.rings(reply, freed)) {
+                    changed.send_modify(|count| *count += 1);
+                }
+                for (sender, reply) in senders.into_iter().zip(replies) {
+                    let _ = sender.send(Ok(reply));
+                }
+            }
+            Err(error) => {
+                tracing::error!(%error, commands = senders.len(), "not kept, nothing has happened");
+                let text = error.to_string();
+                for sender in senders {
+                    let _ = sender.send(Err(StoreError::Batch(text.clone())));
+                }
             }
         }
     }

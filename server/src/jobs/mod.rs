@@ -3,16 +3,20 @@
 //! [`step()`] is the whole logic, without I/O; a store only keeps what it changed.
 
 pub mod command;
+mod index;
+mod invariants;
 pub mod lease;
+mod lists;
 pub mod machine;
 pub mod memory;
 mod pick;
+mod rows;
 pub mod sqlite;
 pub mod state;
 pub mod step;
 pub mod store;
 
-pub use command::{Command, Commit, NewArtifact, NewJob, Reply};
+pub use command::{Command, Commit, NewArtifact, NewJob, Record, Reply};
 pub use lease::{Lease, Phase};
 pub use machine::Machine;
 pub use state::{Artifact, Chunk, Job, JobState, Shard, State};

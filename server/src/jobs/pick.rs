@@ -1,4 +1,5 @@
-//! Which work a worker gets: the job that had least so far, first what others wait for, then what the worker has inputs for.
+//! Which work a worker gets: of the tenant that had least so far (stride scheduling on predicted cost), its job of the highest
+//! priority that had least; of that first what others wait for, then what the worker has inputs for.
 
 use std::collections::BTreeSet;
 
@@ -7,10 +8,13 @@ use super::state::{Job, State, WorkId};
 
 /// The next piece of work for a worker that holds these artifacts.
 pub fn pick(state: &State, holds: &BTreeSet<String>) -> Option<WorkId> {
-    let mut jobs: Vec<&Job> = state.active.iter().filter_map(|id| state.jobs.get(id)).collect();
-    jobs.sort_by_key(|job| (job.pass_us, job.number));
-    let of_job = |job: &&Job| build(state, &needed(state, job)).or_else(|| shard(state, job, holds));
-    jobs.iter().find_map(of_job).or_else(|| {
+    let mut tenants: Vec<_> =
+        state.queues.iter().map(|(name, queue)| (state.passes.get(name), name, queue)).collect();
+    tenants.sort_unstable_by_key(|(pass, name, _)| (*pass, *name));
+    let mut jobs =
+        tenants.into_iter().flat_map(|(.., queue)| queue).filter_map(|place| state.jobs.get(&place.3));
+    let of_job = |job: &Job| build(state, &needed(state, job)).or_else(|| shard(state, job, holds));
+    jobs.find_map(of_job).or_else(|| {
         let mut wanted = BTreeSet::new();
         state.asked.iter().for_each(|key| want(state, key, &mut wanted));
         build(state, &wanted)

@@ -1,31 +1,34 @@
-//! Rows in SQLite: one writer connection with BEGIN IMMEDIATE, and read-only connections for texts.
+//! Rows in SQLite: one writer connection with BEGIN IMMEDIATE, and read-only connections for texts and lists.
 //!
-//! The state is held in memory; a command's rows are written in one transaction before its answer goes out. When they could
-//! not be written, or the caller went away half-way, the state is read anew from the database.
+//! What is at work is held in memory; jobs that ended are read again when somebody asks. The rows of a batch of commands are
+//! written in one transaction before any of their answers goes out. When they could not be written, the state is read anew.
 
-use std::path::Path;
-use std::str::FromStr as _;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
 use sqlx::sqlite::{
-    SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteRow,
+    SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions,
     SqliteSynchronous,
 };
 use sqlx::{ConnectOptions as _, Connection as _, Row as _, SqlSafeStr as _};
 
-use photoneye_store::BlobDigest;
-
-use super::command::{Command, Effects, Reply, Row};
-use super::lease::{Lease, Phase};
-use super::state::{Artifact, Chunk, Job, JobState, Shard, State};
+use super::command::{Command, Effects, Reply};
+use super::index::KEPT_JOBS;
+use super::lease::Phase;
+use super::rows::{artifact_from, chunk_from, job_from, save_record, save_row, shard_from};
+use super::state::{State, WorkId};
 use super::step::step;
 use super::store::{Documents, JobStore, StoreError};
 
 /// The tables, step by step.
-const MIGRATIONS: [(i64, &str, &str); 1] = [(1, "jobs", include_str!("../../../migrations/0001_jobs.sql"))];
+const MIGRATIONS: [(i64, &str, &str); 2] = [
+    (1, "jobs", include_str!("../../../migrations/0001_jobs.sql")),
+    (2, "tenants", include_str!("../../../migrations/0002_tenants.sql")),
+];
 
 /// Read-only connections.
 const READERS: u32 = 4;
@@ -34,9 +37,34 @@ const READERS: u32 = 4;
 pub struct SqliteStore {
     state: State,
     writer: SqliteConnection,
+    file: PathBuf,
     readers: SqlitePool,
     /// The state may be ahead of the database.
     unsaved: bool,
+    /// Jobs that ended and stay at hand.
+    kept_jobs: usize,
+}
+
+/// How the database is opened, by the server and by commands beside it.
+pub fn options(path: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
+        .filename(path)
+        .create_if_missing(true)
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(SqliteSynchronous::Full)
+        .busy_timeout(Duration::from_secs(5))
+        .foreign_keys(true)
+        .disable_statement_logging()
+}
+
+/// A connection that may write, to tables of this version.
+///
+/// # Errors
+/// When the file cannot be opened, is of another program, or cannot be migrated.
+pub async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
+    let mut writer = options(path).connect().await?;
+    migrator().run(&mut writer).await?;
+    Ok(writer)
 }
 
 impl SqliteStore {
@@ -45,25 +73,58 @@ impl SqliteStore {
     /// # Errors
     /// When the file cannot be opened, is of another program, or cannot be migrated.
     pub async fn open(path: &Path, now_ms: u64) -> Result<Self, StoreError> {
-        let options = SqliteConnectOptions::new()
-            .filename(path)
-            .create_if_missing(true)
-            .journal_mode(SqliteJournalMode::Wal)
-            .synchronous(SqliteSynchronous::Full)
-            .busy_timeout(Duration::from_secs(5))
-            .foreign_keys(true)
-            .disable_statement_logging();
-        let mut writer = options.connect().await?;
-        migrator().run(&mut writer).await?;
+        let mut writer = connect(path).await?;
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
             .min_connections(0)
-            .connect_lazy_with(options.create_if_missing(false).read_only(true));
-        let state = load(&mut writer, now_ms).await?;
-        Ok(Self { state, writer, readers, unsaved: false })
+            .connect_lazy_with(options(path).create_if_missing(false).read_only(true));
+        let mut state = load(&mut writer).await?;
+        state.index(now_ms, true);
+        Ok(Self { state, writer, file: path.to_owned(), readers, unsaved: false, kept_jobs: KEPT_JOBS })
     }
 
-    async fn save(&mut self, effects: &Effects) -> Result<(), StoreError> {
+    /// How many jobs that ended stay at hand.
+    pub fn keep(mut self, jobs: usize) -> Self {
+        self.kept_jobs = jobs;
+        self
+    }
+
+    async fn run(&mut self, commands: Vec<Command>, now_ms: u64) -> Result<Vec<Reply>, StoreError> {
+        if self.unsaved {
+            self.reload(now_ms).await?;
+        }
+        self.unsaved = true;
+        let mut replies = Vec::with_capacity(commands.len());
+        let mut all =
+            Effects { reply: Reply::Done, rows: BTreeSet::new(), documents: Vec::new(), records: Vec::new() };
+        for command in commands {
+            self.recall(&command).await?;
+            let effects = step(&mut self.state, command, now_ms);
+            all.rows.extend(effects.rows);
+            all.documents.extend(effects.documents);
+            all.records.extend(effects.records);
+            replies.push(effects.reply);
+        }
+        if !all.rows.is_empty() || !all.documents.is_empty() || !all.records.is_empty() {
+            self.save(&all, now_ms).await?;
+        }
+        self.unsaved = false;
+        self.state.requests.clear();
+        self.state.forget(self.kept_jobs);
+        Ok(replies)
+    }
+
+    /// Goes back to what the database says, over a new connection: on a full disk SQLite has rolled the transaction back by
+    /// itself, and the old connection would still believe that it is inside one.
+    async fn reload(&mut self, now_ms: u64) -> Result<(), StoreError> {
+        self.writer = options(&self.file).connect().await?;
+        self.state = load(&mut self.writer).await?;
+        self.state.index(now_ms, false);
+        self.unsaved = false;
+        Ok(())
+    }
+
+    async fn save(&mut self, effects: &Effects, now_ms: u64) -> Result<(), StoreError> {
         let mut transaction = self.writer.begin_with("BEGIN IMMEDIATE").await?;
         for row in &effects.rows {
             save_row(&mut transaction, &self.state, row).await?;
@@ -75,26 +136,59 @@ impl SqliteStore {
                 .execute(&mut *transaction)
                 .await?;
         }
+        for record in &effects.records {
+            save_record(&mut transaction, record, now_ms).await?;
+        }
         transaction.commit().await?;
         Ok(())
+    }
+
+    /// Reads what a command is about and what was forgotten.
+    async fn recall(&mut self, command: &Command) -> Result<(), StoreError> {
+        match command {
+            Command::Create(new) => {
+                if let Some((id, _)) = &new.request {
+                    recall_request(&mut self.writer, &mut self.state, id).await?;
+                }
+                for artifact in &new.artifacts {
+                    recall_artifact(&mut self.writer, &mut self.state, &artifact.key).await?;
+                }
+                Ok(())
+            }
+            Command::Cancel(job) | Command::LostChunk(job, ..) => {
+                recall_job(&mut self.writer, &mut self.state, job).await
+            }
+            Command::LostArtifact(key) => recall_artifact(&mut self.writer, &mut self.state, key).await,
+            Command::Lease { .. }
+            | Command::Beat { .. }
+            | Command::Commit { .. }
+            | Command::Fail { .. }
+            | Command::Release { .. }
+            | Command::Reap
+            | Command::Note(_) => Ok(()),
+        }
     }
 }
 
 impl JobStore for SqliteStore {
-    fn execute(&mut self, command: Command, now_ms: u64) -> BoxFuture<'_, Result<Reply, StoreError>> {
+    fn execute_all(
+        &mut self,
+        commands: Vec<Command>,
+        now_ms: u64,
+    ) -> BoxFuture<'_, Result<Vec<Reply>, StoreError>> {
         async move {
-            if self.unsaved {
-                self.state = load(&mut self.writer, now_ms).await?;
+            let result = self.run(commands, now_ms).await;
+            if result.is_err() && self.unsaved {
+                // Nobody may see what has not happened. If even this fails, the next command tries again.
+                self.reload(now_ms).await.unwrap_or_else(|error| tracing::error!(%error, "cannot read back"));
             }
-            self.unsaved = true;
-            let effects = step(&mut self.state, command, now_ms);
-            if !effects.rows.is_empty() || !effects.documents.is_empty() {
-                self.save(&effects).await?;
-            }
-            self.unsaved = false;
-            Ok(effects.reply)
+            result
         }
         .boxed()
+    }
+
+    fn recall_job<'a>(&'a mut self, id: &'a str) -> BoxFuture<'a, Result<(), StoreError>> {
+        recall_job(&mut self.writer, &mut self.state, id).boxed()
     }
 
     fn state(&self) -> &State {
@@ -113,266 +207,78 @@ fn migrator() -> Migrator {
     Migrator::with_migrations(steps.into())
 }
 
-async fn save_row(db: &mut SqliteConnection, state: &State, row: &Row) -> Result<(), StoreError> {
-    match row {
-        Row::Job(id) => save_job(db, job_of(state, id)?).await,
-        Row::Shard(id, number) => {
-            let shard = job_of(state, id)?.shards.get(*number as usize);
-            save_shard(db, id, *number, shard.ok_or_else(|| gone("shard"))?).await
-        }
-        Row::Artifact(key) => {
-            save_artifact(db, state.artifacts.get(key).ok_or_else(|| gone("artifact"))?).await
-        }
-        Row::Chunk(id, frame, tile) => {
-            let chunk = job_of(state, id)?.chunks.get(&(*frame, *tile));
-            save_chunk(db, id, *frame, *tile, chunk.ok_or_else(|| gone("chunk"))?).await
-        }
-        Row::Request(request) => {
-            let (job, body) = state.requests.get(request).ok_or_else(|| gone("request"))?;
-            sqlx::query("INSERT INTO requests (id, job, body) VALUES (?, ?, ?)")
-                .bind(request.clone())
-                .bind(job.clone())
-                .bind(body.clone())
-                .execute(db)
-                .await?;
-            Ok(())
-        }
-    }
-}
-
-fn job_of<'a>(state: &'a State, id: &str) -> Result<&'a Job, StoreError> {
-    state.jobs.get(id).ok_or_else(|| gone("job"))
-}
-
-fn gone(what: &str) -> StoreError {
-    StoreError::Row(format!("a changed {what} is gone"))
-}
-
-async fn save_job(db: &mut SqliteConnection, job: &Job) -> Result<(), StoreError> {
-    let updated = sqlx::query(
-        "UPDATE jobs SET state = ?, finished_ms = ?, error = ?, result_digest = ?, version = ?, pass_us = ? WHERE id = ?",
-    )
-    .bind(number_of(&JobState::ALL, &job.state))
-    .bind(job.finished_ms.map(signed))
-    .bind(job.error.clone())
-    .bind(job.result_digest.clone())
-    .bind(signed(job.version))
-    .bind(signed(job.pass_us))
-    .bind(job.id.clone())
-    .execute(&mut *db)
-    .await?;
-    if updated.rows_affected() > 0 {
-        return Ok(());
-    }
-    sqlx::query(
-        "INSERT INTO jobs (id, number, state, experiment_digest, created_ms, finished_ms, frames, artifacts, tiles, error,
-         result_digest, version, pass_us, shard_us) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-    )
-    .bind(job.id.clone())
-    .bind(signed(job.number))
-    .bind(number_of(&JobState::ALL, &job.state))
-    .bind(job.experiment_digest.clone())
-    .bind(signed(job.created_ms))
-    .bind(job.finished_ms.map(signed))
-    .bind(job.frames)
-    .bind(json(&job.artifacts)?)
-    .bind(json(&job.tiles)?)
-    .bind(job.error.clone())
-    .bind(job.result_digest.clone())
-    .bind(signed(job.version))
-    .bind(signed(job.pass_us))
-    .bind(signed(job.shard_us))
-    .execute(db)
-    .await?;
-    Ok(())
-}
-
-async fn save_shard(
-    db: &mut SqliteConnection,
-    job: &str,
-    number: u32,
-    shard: &Shard,
-) -> Result<(), StoreError> {
-    sqlx::query(
-        "INSERT INTO shards (job, number, first_frame, frame_count, tile, phase, fence, worker, local, failures, losses)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (job, number) DO UPDATE SET phase = excluded.phase,
-         fence = excluded.fence, worker = excluded.worker, local = excluded.local, failures = excluded.failures,
-         losses = excluded.losses",
-    )
-    .bind(job.to_owned())
-    .bind(number)
-    .bind(shard.first_frame)
-    .bind(shard.frame_count)
-    .bind(shard.tile)
-    .bind(number_of(&Phase::ALL, &shard.lease.phase))
-    .bind(signed(shard.lease.fence))
-    .bind(shard.lease.worker.clone())
-    .bind(shard.lease.local)
-    .bind(shard.lease.failures)
-    .bind(shard.lease.losses)
-    .execute(db)
-    .await?;
-    Ok(())
-}
-
-async fn save_artifact(db: &mut SqliteConnection, artifact: &Artifact) -> Result<(), StoreError> {
-    sqlx::query(
-        "INSERT INTO artifacts (key, kind, inputs, digest, cones, predicted_us, phase, fence, worker, local, failures, losses)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (key) DO UPDATE SET digest = excluded.digest,
-         cones = excluded.cones, phase = excluded.phase, fence = excluded.fence, worker = excluded.worker,
-         local = excluded.local, failures = excluded.failures, losses = excluded.losses",
-    )
-    .bind(artifact.key.clone())
-    .bind(artifact.kind.clone())
-    .bind(json(&artifact.inputs)?)
-    .bind(artifact.digest.map(|digest| digest.to_string()))
-    .bind(artifact.cones.map(signed))
-    .bind(signed(artifact.predicted_us))
-    .bind(number_of(&Phase::ALL, &artifact.lease.phase))
-    .bind(signed(artifact.lease.fence))
-    .bind(artifact.lease.worker.clone())
-    .bind(artifact.lease.local)
-    .bind(artifact.lease.failures)
-    .bind(artifact.lease.losses)
-    .execute(db)
-    .await?;
-    Ok(())
-}
-
-async fn save_chunk(
-    db: &mut SqliteConnection,
-    job: &str,
-    frame: u32,
-    tile: u32,
-    chunk: &Chunk,
-) -> Result<(), StoreError> {
-    sqlx::query(
-        "INSERT INTO chunks (job, frame, tile, seq, digest, first_cone, cones, summary) VALUES (?, ?, ?, ?, ?, ?, ?, ?)
-         ON CONFLICT (job, frame, tile) DO UPDATE SET digest = excluded.digest, summary = excluded.summary",
-    )
-    .bind(job.to_owned())
-    .bind(frame)
-    .bind(tile)
-    .bind(signed(chunk.seq))
-    .bind(chunk.digest.to_string())
-    .bind(signed(chunk.first_cone))
-    .bind(signed(chunk.cones))
-    .bind(json(&chunk.summary)?)
-    .execute(db)
-    .await?;
-    Ok(())
-}
-
-/// Reads everything back.
-async fn load(db: &mut SqliteConnection, now_ms: u64) -> Result<State, StoreError> {
+/// Reads what is at work.
+async fn load(db: &mut SqliteConnection) -> Result<State, StoreError> {
     let mut state = State::default();
-    for row in sqlx::query("SELECT * FROM jobs").fetch_all(&mut *db).await? {
-        let job = job_from(&row)?;
-        state.jobs.insert(job.id.clone(), job);
+    let last: Option<i64> = sqlx::query_scalar("SELECT max(number) FROM jobs").fetch_one(&mut *db).await?;
+    state.next_number = last.map_or(0, |last| last as u64 + 1);
+    let alarms: i64 = sqlx::query_scalar("SELECT count(*) FROM alarms").fetch_one(&mut *db).await?;
+    state.nondeterministic = alarms as u64;
+    // Queued and running.
+    let active: Vec<String> =
+        sqlx::query_scalar("SELECT id FROM jobs WHERE state IN (0, 1)").fetch_all(&mut *db).await?;
+    for id in active {
+        recall_job(db, &mut state, &id).await?;
     }
-    for row in sqlx::query("SELECT * FROM shards ORDER BY job, number").fetch_all(&mut *db).await? {
-        let job = state.jobs.get_mut(row.try_get::<&str, _>("job")?).ok_or_else(|| gone("job"))?;
-        job.shards.push(Shard {
-            first_frame: row.try_get("first_frame")?,
-            frame_count: row.try_get("frame_count")?,
-            tile: row.try_get("tile")?,
-            lease: lease_from(&row)?,
-        });
+    let leased = sqlx::query_scalar("SELECT key FROM artifacts WHERE phase = ?").bind(Phase::Leased as i64);
+    let leased: Vec<String> = leased.fetch_all(&mut *db).await?;
+    for key in leased {
+        recall_artifact(db, &mut state, &key).await?;
     }
-    for row in sqlx::query("SELECT * FROM chunks").fetch_all(&mut *db).await? {
-        let job = state.jobs.get_mut(row.try_get::<&str, _>("job")?).ok_or_else(|| gone("job"))?;
-        let chunk = Chunk {
-            seq: unsigned(&row, "seq")?,
-            digest: digest_from(row.try_get("digest")?)?,
-            first_cone: unsigned(&row, "first_cone")?,
-            cones: unsigned(&row, "cones")?,
-            summary: from_json(&row, "summary")?,
-        };
-        job.chunks.insert((row.try_get("frame")?, row.try_get("tile")?), chunk);
-    }
-    for row in sqlx::query("SELECT * FROM artifacts").fetch_all(&mut *db).await? {
-        let artifact = artifact_from(&row)?;
-        state.artifacts.insert(artifact.key.clone(), artifact);
-    }
-    for row in sqlx::query("SELECT * FROM requests").fetch_all(&mut *db).await? {
-        state.requests.insert(row.try_get("id")?, (row.try_get("job")?, row.try_get("body")?));
-    }
-    state.index(now_ms);
     Ok(state)
 }
 
-fn job_from(row: &SqliteRow) -> Result<Job, StoreError> {
-    Ok(Job {
-        id: row.try_get("id")?,
-        number: unsigned(row, "number")?,
-        state: of_number(&JobState::ALL, row, "state")?,
-        experiment_digest: row.try_get("experiment_digest")?,
-        created_ms: unsigned(row, "created_ms")?,
-        finished_ms: row.try_get::<Option<i64>, _>("finished_ms")?.map(|ms| ms as u64),
-        frames: row.try_get("frames")?,
-        artifacts: from_json(row, "artifacts")?,
-        tiles: from_json(row, "tiles")?,
-        error: row.try_get("error")?,
-        result_digest: row.try_get("result_digest")?,
-        version: unsigned(row, "version")?,
-        pass_us: unsigned(row, "pass_us")?,
-        shard_us: unsigned(row, "shard_us")?,
-        ..Job::default()
-    })
+/// Reads a job with its shards, results and artifacts, if it is not at hand.
+async fn recall_job(db: &mut SqliteConnection, state: &mut State, id: &str) -> Result<(), StoreError> {
+    if state.jobs.contains_key(id) {
+        return Ok(());
+    }
+    let row = sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(id.to_owned());
+    let Some(row) = row.fetch_optional(&mut *db).await? else {
+        return Ok(());
+    };
+    let mut job = job_from(&row)?;
+    let shards = sqlx::query("SELECT * FROM shards WHERE job = ? ORDER BY number").bind(id.to_owned());
+    for row in shards.fetch_all(&mut *db).await? {
+        job.shards.push(shard_from(&row)?);
+    }
+    let chunks = sqlx::query("SELECT * FROM chunks WHERE job = ?").bind(id.to_owned());
+    for row in chunks.fetch_all(&mut *db).await? {
+        let (place, chunk) = chunk_from(&row)?;
+        job.chunks.insert(place, chunk);
+    }
+    job.index();
+    for key in job.artifacts.clone() {
+        recall_artifact(db, state, &key).await?;
+    }
+    state.jobs.insert(id.to_owned(), job);
+    Ok(())
 }
 
-fn artifact_from(row: &SqliteRow) -> Result<Artifact, StoreError> {
-    let digest: Option<&str> = row.try_get("digest")?;
-    Ok(Artifact {
-        key: row.try_get("key")?,
-        kind: row.try_get("kind")?,
-        inputs: from_json(row, "inputs")?,
-        digest: digest.map(digest_from).transpose()?,
-        cones: row.try_get::<Option<i64>, _>("cones")?.map(|cones| cones as u64),
-        predicted_us: unsigned(row, "predicted_us")?,
-        lease: lease_from(row)?,
-    })
+/// Reads an artifact and what it is made from, if they are not at hand.
+async fn recall_artifact(db: &mut SqliteConnection, state: &mut State, key: &str) -> Result<(), StoreError> {
+    let mut wanted = vec![key.to_owned()];
+    while let Some(key) = wanted.pop() {
+        if state.knows(&WorkId::Build(key.clone())) {
+            continue;
+        }
+        let row = sqlx::query("SELECT * FROM artifacts WHERE key = ?").bind(key.clone());
+        if let Some(row) = row.fetch_optional(&mut *db).await? {
+            let artifact = artifact_from(&row)?;
+            wanted.extend(artifact.inputs.iter().cloned());
+            state.artifacts.insert(key, artifact);
+        }
+    }
+    Ok(())
 }
 
-fn lease_from(row: &SqliteRow) -> Result<Lease, StoreError> {
-    Ok(Lease {
-        phase: of_number(&Phase::ALL, row, "phase")?,
-        fence: unsigned(row, "fence")?,
-        worker: row.try_get("worker")?,
-        local: row.try_get("local")?,
-        expires_ms: 0,
-        failures: row.try_get("failures")?,
-        losses: row.try_get("losses")?,
-    })
-}
-
-fn digest_from(text: &str) -> Result<BlobDigest, StoreError> {
-    BlobDigest::from_str(text).map_err(|error| StoreError::Row(error.to_string()))
-}
-
-/// SQLite's integers are signed; the same 64 bits.
-fn signed(value: u64) -> i64 {
-    value as i64
-}
-
-fn unsigned(row: &SqliteRow, column: &str) -> Result<u64, StoreError> {
-    Ok(row.try_get::<i64, _>(column)? as u64)
-}
-
-fn number_of<T: PartialEq>(all: &[T], value: &T) -> i64 {
-    all.iter().position(|one| one == value).unwrap_or_default() as i64
-}
-
-fn of_number<T: Copy>(all: &[T], row: &SqliteRow, column: &str) -> Result<T, StoreError> {
-    let number: u32 = row.try_get(column)?;
-    let value = all.get(number as usize).copied();
-    value.ok_or_else(|| StoreError::Row(format!("{column} is {number}")))
-}
-
-fn json<T: serde::Serialize>(value: &T) -> Result<String, StoreError> {
-    serde_json::to_string(value).map_err(|error| StoreError::Row(error.to_string()))
-}
-
-fn from_json<T: serde::de::DeserializeOwned>(row: &SqliteRow, column: &str) -> Result<T, StoreError> {
-    serde_json::from_str(row.try_get(column)?).map_err(|error| StoreError::Row(format!("{column}: {error}")))
+async fn recall_request(db: &mut SqliteConnection, state: &mut State, id: &str) -> Result<(), StoreError> {
+    if state.requests.contains_key(id) {
+        return Ok(());
+    }
+    let row = sqlx::query("SELECT job, body FROM requests WHERE id = ?").bind(id.to_owned());
+    if let Some(row) = row.fetch_optional(db).await? {
+        state.requests.insert(id.to_owned(), (row.try_get("job")?, row.try_get("body")?));
+    }
+    Ok(())
 }

@@ -2,6 +2,7 @@
 //!
 //! Texts (experiments, plans, artifact inputs, reports) are documents of the store and not held here.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::str::FromStr;
@@ -44,6 +45,10 @@ pub struct Job {
     pub id: String,
     /// Order of creation.
     pub number: u64,
+    /// Whose it is.
+    pub tenant: String,
+    /// 0 to 9; the higher is served first, among the jobs of one tenant.
+    pub priority: u8,
     /// Where it stands.
     pub state: JobState,
     /// Digest of the validated experiment.
@@ -60,6 +65,10 @@ pub struct Job {
     pub tiles: Vec<Vec<String>>,
     /// Its shards.
     pub shards: Vec<Shard>,
+    /// How many they are; known also where the shards themselves are not loaded.
+    pub shard_count: u32,
+    /// Cones in its result, once it succeeded.
+    pub cones: Option<u64>,
     /// Results by frame and tile.
     pub chunks: BTreeMap<(u32, u32), Chunk>,
     /// Frame and tile of each chunk in the order of commits. Not stored: follows from the chunks.
@@ -106,6 +115,8 @@ pub struct Artifact {
     pub inputs: Vec<String>,
     /// Its bytes, when it is built.
     pub digest: Option<BlobDigest>,
+    /// Its bytes before they were lost: made again, they must be the same.
+    pub previous: Option<BlobDigest>,
     /// Cones in it; stays known when the bytes are lost.
     pub cones: Option<u64>,
     /// Predicted work, microseconds.
@@ -174,7 +185,10 @@ impl FromStr for WorkId {
     }
 }
 
-/// Everything.
+/// Place of a job among those of its tenant: the higher priority first, then the job that had least, then the older.
+pub type Place = (Reverse<u8>, u64, u64, String);
+
+/// What is at work, and what ended lately. A store may forget jobs that ended and read them again when somebody asks.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
     /// Jobs by id.
@@ -183,13 +197,22 @@ pub struct State {
     pub artifacts: BTreeMap<String, Artifact>,
     /// Job and digest of the body by request id.
     pub requests: BTreeMap<String, (String, String)>,
+    /// Number of the next job.
+    pub next_number: u64,
     /// Ids of active jobs. Not stored: follows from the jobs.
     pub active: BTreeSet<String>,
+    /// Active jobs of each tenant in the order in which they are served. Not stored: follows from the jobs.
+    pub queues: BTreeMap<String, BTreeSet<Place>>,
+    /// Work handed out to each tenant with active jobs, microseconds as predicted; the one that had least is served next.
+    /// Not stored: a restart begins the shares anew.
+    pub passes: BTreeMap<String, u64>,
+    /// Active jobs that need an artifact. Not stored: follows from the jobs.
+    pub users: BTreeMap<String, BTreeSet<String>>,
     /// Leased work. Not stored: follows from the leases.
     pub leased: BTreeSet<WorkId>,
     /// Artifacts that somebody reads although no active job needs them. Not stored: whoever reads asks again.
     pub asked: BTreeSet<String>,
-    /// Chunks that came out differently the second time, since the start.
+    /// Results and artifacts that came out differently the second time.
     pub nondeterministic: u64,
 }
 
@@ -234,15 +257,18 @@ impl State {
         Some(result)
     }
 
-    /// Rebuilds what is not stored. Workers of an earlier process of this server are gone; the others get a whole term.
-    pub fn index(&mut self, now_ms: u64) {
-        self.active = self.jobs.values().filter(|job| job.state.active()).map(|job| job.id.clone()).collect();
-        for job in self.jobs.values_mut() {
-            let mut order: Vec<_> = job.chunks.iter().map(|(place, chunk)| (chunk.seq, *place)).collect();
-            order.sort_unstable();
-            job.order = order.into_iter().map(|(_, place)| place).collect();
-            job.left = job.shards.iter().filter(|shard| shard.lease.phase != Phase::Done).count();
+    /// Rebuilds what is not stored. After a restart the workers of the earlier process are gone; the others get a whole term.
+    pub fn index(&mut self, now_ms: u64, restarted: bool) {
+        self.leased.clear();
+        self.active.clear();
+        self.queues.clear();
+        self.users.clear();
+        self.passes.clear();
+        let active = self.jobs.values().filter(|job| job.state.active()).map(|job| job.id.clone());
+        for id in active.collect::<Vec<_>>() {
+            self.activate(&id);
         }
+        self.jobs.values_mut().for_each(Job::index);
         let builds = self.artifacts.keys().map(|key| WorkId::Build(key.clone()));
         let shards = self
             .jobs
@@ -250,7 +276,8 @@ impl State {
             .flat_map(|job| (0..job.shards.len()).map(|number| WorkId::Shard(job.id.clone(), number as u32)));
         for id in builds.chain(shards).collect::<Vec<_>>() {
             self.change(&id, |lease| {
-                lease.expires_ms = if lease.local { 0 } else { now_ms + super::lease::TTL_MS };
+                let gone = lease.local && restarted;
+                lease.expires_ms = if gone { 0 } else { now_ms + super::lease::TTL_MS };
             });
         }
     }
@@ -273,9 +300,7 @@ impl State {
 
     /// Active jobs that need an artifact.
     pub fn users_of(&self, key: &str) -> Vec<String> {
-        let uses =
-            |id: &&String| self.jobs.get(*id).is_some_and(|job| job.artifacts.iter().any(|k| k == key));
-        self.active.iter().filter(uses).cloned().collect()
+        self.users.get(key).into_iter().flatten().cloned().collect()
     }
 
     /// Whether an artifact's bytes are there.
@@ -285,6 +310,14 @@ impl State {
 }
 
 impl Job {
+    /// Rebuilds what is not stored of one job.
+    pub fn index(&mut self) {
+        let mut order: Vec<_> = self.chunks.iter().map(|(place, chunk)| (chunk.seq, *place)).collect();
+        order.sort_unstable();
+        self.order = order.into_iter().map(|(_, place)| place).collect();
+        self.left = self.shards.iter().filter(|shard| shard.lease.phase != Phase::Done).count();
+    }
+
     /// Digest over all chunks: BLAKE3 over frame, tile (u32 little-endian) and the chunk's hash, in frame and tile order.
     pub fn digest_of_chunks(&self) -> String {
         let mut hasher = blake3::Hasher::new();

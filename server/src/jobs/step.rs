@@ -4,14 +4,14 @@ use std::collections::BTreeSet;
 
 use photoneye_store::BlobDigest;
 
-use super::command::{Command, Commit, Effects, NewArtifact, NewJob, Reply, Row};
+use super::command::{Command, Commit, Effects, NewArtifact, NewJob, Record, Reply, Row};
 use super::lease::{Lease, MAX_LOSSES, Phase, Verdict};
 use super::pick::pick;
 use super::state::{Artifact, Chunk, Job, JobState, Shard, State, Summary, WorkId};
 
 /// Carries out a command at a time (ms since 1970).
 pub fn step(state: &mut State, command: Command, now_ms: u64) -> Effects {
-    let mut step = Step { state, now_ms, rows: BTreeSet::new(), documents: Vec::new() };
+    let mut step = Step { state, now_ms, rows: BTreeSet::new(), documents: Vec::new(), records: Vec::new() };
     let reply = match command {
         Command::Create(job) => step.create(*job),
         Command::Lease { worker, local, holds } => Reply::Leased(step.lease(&worker, local, &holds)),
@@ -35,8 +35,14 @@ pub fn step(state: &mut State, command: Command, now_ms: u64) -> Effects {
         Command::Reap => step.reap(),
         Command::LostArtifact(key) => step.lost_artifact(key),
         Command::LostChunk(job, frame, tile) => step.lost_chunk(&job, frame, tile),
+        Command::Note(record) => {
+            step.records.push(record);
+            Reply::Done
+        }
     };
-    Effects { reply, rows: step.rows, documents: step.documents }
+    let Step { state, rows, documents, records, .. } = step;
+    debug_assert_eq!(state.check(), Ok(()));
+    Effects { reply, rows, documents, records }
 }
 
 struct Step<'a> {
@@ -44,16 +50,18 @@ struct Step<'a> {
     now_ms: u64,
     rows: BTreeSet<Row>,
     documents: Vec<(String, String)>,
+    records: Vec<Record>,
 }
 
 impl Step<'_> {
     /// Changes a lease and marks its row.
     fn change<T>(&mut self, id: &WorkId, change: impl FnOnce(&mut Lease) -> T) -> Option<T> {
+        let result = self.state.change(id, change)?;
         self.rows.insert(match id {
             WorkId::Build(key) => Row::Artifact(key.clone()),
             WorkId::Shard(job, number) => Row::Shard(job.clone(), *number),
         });
-        self.state.change(id, change)
+        Some(result)
     }
 
     /// Changes a job as its users see it.
@@ -90,32 +98,51 @@ impl Step<'_> {
         });
         let job = Job {
             id: id.clone(),
-            number: self.state.jobs.len() as u64,
+            number: self.state.next_number,
+            tenant: new.tenant,
+            priority: new.priority,
             experiment_digest: new.experiment_digest,
             created_ms: self.now_ms,
             frames: new.frames,
             artifacts: keys,
             tiles: new.tiles,
             shards: shards.collect(),
+            shard_count: new.shards.len() as u32,
             left: new.shards.len(),
-            pass_us: self.least_pass(),
+            pass_us: 0,
             shard_us: new.shard_us,
             version: 1,
             ..Job::default()
         };
+        self.records.push(Record::Audit {
+            tenant: job.tenant.clone(),
+            who: new.by,
+            action: "create job",
+            object: id.clone(),
+        });
         self.rows.insert(Row::Job(id.clone()));
-        self.state.jobs.insert(id.clone(), job);
-        self.state.active.insert(id.clone());
+        self.state.next_number += 1;
+        self.state.jobs.insert(id.clone(), Job { pass_us: self.least_pass(&job.tenant), ..job });
+        self.state.activate(&id);
         for number in 0..new.shards.len() as u32 {
             self.change(&WorkId::Shard(id.clone(), number), |_| ());
         }
         Reply::Created(id, true)
     }
 
-    /// A new job is served like the one that had least.
-    fn least_pass(&self) -> u64 {
-        let active = self.state.active.iter().filter_map(|id| self.state.jobs.get(id));
-        active.map(|job| job.pass_us).min().unwrap_or(0)
+    /// A new job is served like the one of its tenant that had least.
+    fn least_pass(&self, tenant: &str) -> u64 {
+        let queue = self.state.queues.get(tenant).into_iter().flatten();
+        // The first of each priority had least there.
+        let mut least = None;
+        let mut last = None;
+        for (priority, pass_us, ..) in queue {
+            if last != Some(priority) {
+                least = Some(least.map_or(*pass_us, |least: u64| least.min(*pass_us)));
+                last = Some(priority);
+            }
+        }
+        least.unwrap_or(0)
     }
 
     /// Adds an artifact that is not known; one that failed or was cancelled gets another chance.
@@ -151,10 +178,8 @@ impl Step<'_> {
         };
         let share = cost / (payers.len() as u64).max(1);
         for job in payers {
-            self.change_job(&job, |job| {
-                job.pass_us = job.pass_us.saturating_add(share.max(1));
-                job.state = JobState::Running;
-            });
+            self.state.charge(&job, share.max(1));
+            self.change_job(&job, |job| job.state = JobState::Running);
         }
         Some((id, fence))
     }
@@ -183,7 +208,7 @@ impl Step<'_> {
         }
         match (id, commit) {
             (WorkId::Build(key), Commit::Artifact { digest, cones }) => {
-                self.commit_artifact(key, digest, cones);
+                self.commit_artifact(id, key, digest, cones);
             }
             (WorkId::Shard(job, number), Commit::Shard(chunks)) => {
                 if let Err(reason) = self.commit_chunks(job, *number, chunks) {
@@ -207,8 +232,19 @@ impl Step<'_> {
         Reply::Held(true)
     }
 
-    fn commit_artifact(&mut self, key: &str, digest: BlobDigest, cones: Option<u64>) {
+    /// The same work gave other bytes: somebody has to look, and both are kept.
+    fn alarm(&mut self, work: String, first: BlobDigest, second: BlobDigest) {
+        self.state.nondeterministic += 1;
+        self.records.push(Record::Alarm { work, first, second });
+    }
+
+    fn commit_artifact(&mut self, id: &WorkId, key: &str, digest: BlobDigest, cones: Option<u64>) {
+        let previous = self.state.artifacts.get(key).and_then(|artifact| artifact.previous);
+        if let Some(first) = previous.filter(|first| *first != digest) {
+            self.alarm(id.to_string(), first, digest);
+        }
         if let Some(artifact) = self.state.artifacts.get_mut(key) {
+            artifact.previous = None;
             artifact.digest = Some(digest);
             artifact.cones = cones.or(artifact.cones);
         }
@@ -235,13 +271,17 @@ impl Step<'_> {
         let first_cone = *self.state.first_cones(job).0.get(tile as usize).ok_or("no such tile")?;
         let cones = job.tiles.get(tile as usize).and_then(|tile| tile.first());
         let cones = cones.and_then(|key| self.state.artifacts.get(key)?.cones).unwrap_or(0);
+        for (frame, digest, _) in &chunks {
+            let job = self.state.jobs.get(job_id);
+            let earlier = job.and_then(|job| job.chunks.get(&(*frame, tile))).map(|chunk| chunk.digest);
+            if let Some(first) = earlier.filter(|first| first != digest) {
+                self.alarm(format!("s/{job_id}/{number} frame {frame}"), first, *digest);
+            }
+        }
         let job = self.state.jobs.get_mut(job_id).ok_or("no such job")?;
         for (frame, digest, summary) in chunks {
             let next = job.chunks.len() as u64 + 1;
             let earlier = job.chunks.get(&(frame, tile));
-            if earlier.is_some_and(|earlier| earlier.digest != digest) {
-                self.state.nondeterministic += 1;
-            }
             let seq = earlier.map_or(next, |earlier| earlier.seq);
             if seq == next {
                 job.order.push((frame, tile));
@@ -255,16 +295,18 @@ impl Step<'_> {
     fn finish_when_done(&mut self, id: &str) {
         let now_ms = self.now_ms;
         let done = self.state.jobs.get(id).is_some_and(|job| job.left == 0);
+        let cones = self.state.jobs.get(id).and_then(|job| self.state.first_cones(job).1);
+        if done {
+            self.state.deactivate(id);
+        }
         self.change_job(id, |job| {
             if done {
+                job.cones = cones;
                 job.state = JobState::Succeeded;
                 job.finished_ms = Some(now_ms);
                 job.result_digest = Some(job.digest_of_chunks());
             }
         });
-        if done {
-            self.state.active.remove(id);
-        }
     }
 
     /// Work that cannot be done ends every job that needs it.
@@ -284,7 +326,7 @@ impl Step<'_> {
     /// Ends a job early: its shards are taken away, and builds that no other job wants.
     fn end(&mut self, id: &str, state: JobState, error: Option<String>) {
         let now_ms = self.now_ms;
-        self.state.active.remove(id);
+        self.state.deactivate(id);
         self.change_job(id, |job| {
             job.state = state;
             job.error = error;
@@ -343,7 +385,7 @@ impl Step<'_> {
         if reopen {
             self.change(&id, Lease::renew);
             if let Some(artifact) = self.state.artifacts.get_mut(&key) {
-                artifact.digest = None;
+                artifact.previous = artifact.digest.take().or(artifact.previous);
             }
         }
         self.state.asked.insert(key);
@@ -363,7 +405,7 @@ impl Step<'_> {
         let Some(number) = job.shards.iter().position(holds).filter(|_| alive) else {
             return Reply::Done;
         };
-        let pass_us = self.least_pass();
+        let pass_us = self.least_pass(&job.tenant);
         self.change(&WorkId::Shard(id.to_owned(), number as u32), Lease::renew);
         self.change_job(id, |job| {
             if job.state == JobState::Succeeded {
@@ -373,7 +415,9 @@ impl Step<'_> {
             job.finished_ms = None;
             job.result_digest = None;
         });
-        self.state.active.insert(id.to_owned());
+        if !self.state.active.contains(id) {
+            self.state.activate(id);
+        }
         Reply::Done
     }
 }

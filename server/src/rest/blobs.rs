@@ -1,20 +1,23 @@
 //! Uploads and downloads over REST.
 
-use axum::Json;
 use axum::body::Body;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::response::{IntoResponse as _, Response};
+use axum::{Extension, Json};
 use futures::StreamExt as _;
 use http::{HeaderMap, Method, StatusCode, header};
 use photoneye_proto::{FieldError, v1};
 use photoneye_store::BlobDigest;
 
 use super::Shared;
+use super::extract::Path;
+use crate::access::Caller;
 use crate::error::{Error, Kind};
 use crate::transfer::{Upload, pieces};
 
 pub(super) async fn put(
     State(service): Shared,
+    Extension(caller): Extension<Caller>,
     headers: HeaderMap,
     body: Body,
 ) -> Result<(StatusCode, Json<v1::PutBlobReply>), Error> {
@@ -26,19 +29,23 @@ pub(super) async fn put(
             piece.map_err(|error| Error::new(Kind::Invalid, format!("the body broke off: {error}")))?;
         upload.push(piece)?;
     }
-    let digest = Some(upload.finish().await?.to_string());
+    let digest = upload.finish().await?;
+    service.uploaded(&caller, digest).await?;
+    let digest = Some(digest.to_string());
     Ok((StatusCode::CREATED, Json(v1::PutBlobReply { digest })))
 }
 
 /// GET and HEAD: the digest is the rest of the path, with its slash.
 pub(super) async fn get(
     State(service): Shared,
+    Extension(caller): Extension<Caller>,
     method: Method,
     Path(digest): Path<String>,
 ) -> Result<Response, Error> {
     let digest: BlobDigest = digest
         .parse()
         .map_err(|error: photoneye_store::digest::NotADigest| FieldError::new("digest", error.to_string()))?;
+    service.readable(&caller, &digest).await?;
     let headers = [
         (header::CONTENT_TYPE, "application/octet-stream".to_owned()),
         (header::CONTENT_LENGTH, digest.size.to_string()),

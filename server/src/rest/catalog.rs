@@ -1,7 +1,5 @@
 //! What there is to choose from, and how the service is.
 
-use std::fmt::Write as _;
-
 use axum::Json;
 use axum::extract::State;
 use axum::response::{IntoResponse as _, Response};
@@ -10,7 +8,7 @@ use photoneye_eye::catalog;
 use serde_json::{Value, json};
 
 use super::Shared;
-use crate::jobs::{JobState, Phase, State as Jobs};
+use crate::error::Error;
 
 /// Presets with their files' content.
 fn presets(folder: &str) -> Json<Value> {
@@ -48,13 +46,15 @@ pub(super) async fn spectra() -> Json<Value> {
     Json(json!({"spectra": columns.collect::<Vec<_>>()}))
 }
 
-pub(super) async fn retinas() -> Json<Value> {
+/// Retinas that are built, and what can be asked for.
+pub(super) async fn retinas(State(service): Shared) -> Result<Json<Value>, Error> {
+    let cached = service.machine.documents().retinas().await?;
     let generators = json!([
-        {"name": "DOMAIN", "description": "patches of hexagonal lattice, relaxed; tiles are pure functions", "built": true},
-        {"name": "RING", "description": "the paper's growth from a seed of seven cones, ring after ring", "built": true},
+        {"name": "DOMAIN", "description": "patches of hexagonal lattice, relaxed; tiles are pure functions"},
+        {"name": "RING", "description": "the paper's growth from a seed of seven cones, ring after ring"},
     ]);
     let peak = json!({"min": 98_200, "max": 324_100, "default": 199_000});
-    Json(json!({"retinas": generators, "peak_density_per_mm2": peak}))
+    Ok(Json(json!({"retinas": cached, "generators": generators, "peak_density_per_mm2": peak})))
 }
 
 /// Ready: the blob store can write and the job machine answers.
@@ -70,40 +70,14 @@ pub(super) async fn ready(State(service): Shared) -> Response {
     }
 }
 
-pub(super) async fn metrics(State(service): Shared) -> Response {
-    let text = service.machine.read(metrics_text).await;
-    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response()
+pub(super) async fn metrics(State(service): Shared) -> Result<Response, Error> {
+    let jobs = service.machine.documents().count_jobs().await?;
+    let workers = service.fleet.alive();
+    let text = service.machine.read(|state| service.metrics.text(state, &jobs, workers)).await;
+    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response())
 }
 
-fn metrics_text(state: &Jobs) -> String {
-    let mut text = String::new();
-    let mut gauge = |name: &str, help: &str, values: &[(String, usize)]| {
-        // Writing into a string cannot fail.
-        let _ = writeln!(text, "# HELP photoneye_{name} {help}\n# TYPE photoneye_{name} gauge");
-        for (labels, value) in values {
-            let _ = writeln!(text, "photoneye_{name}{labels} {value}");
-        }
-    };
-    let of_state = |one: JobState| state.jobs.values().filter(|job| job.state == one).count();
-    let label = |key: &str, value: String| format!("{{{key}=\"{}\"}}", value.to_lowercase());
-    let jobs: Vec<_> =
-        JobState::ALL.iter().map(|one| (label("state", format!("{one:?}")), of_state(*one))).collect();
-    gauge("jobs", "Jobs by state.", &jobs);
-    let of_phase =
-        |one: Phase| state.artifacts.values().filter(|artifact| artifact.lease.phase == one).count();
-    let artifacts: Vec<_> =
-        Phase::ALL.iter().map(|one| (label("phase", format!("{one:?}")), of_phase(*one))).collect();
-    gauge("artifacts", "Artifacts by phase.", &artifacts);
-    let total = |value: usize| [(String::new(), value)];
-    gauge("leases", "Work that workers hold.", &total(state.leased.len()));
-    let left = state.active.iter().filter_map(|id| state.jobs.get(id)).map(|job| job.left).sum();
-    gauge("shards_left", "Shards of active jobs that are not done.", &total(left));
-    let chunks = state.jobs.values().map(|job| job.chunks.len()).sum();
-    gauge("chunks", "Result chunks.", &total(chunks));
-    gauge(
-        "nondeterministic_results",
-        "Results that came out differently the second time; must be 0.",
-        &total(state.nondeterministic as usize),
-    );
-    text
+/// Workers that were heard lately, with what they do and use.
+pub(super) async fn workers(State(service): Shared) -> Json<Value> {
+    Json(service.fleet.list())
 }

@@ -4,17 +4,20 @@ use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Json;
 use axum::body::Body;
-use axum::extract::{Path, Query, State};
+use axum::extract::State;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse as _, Response};
+use axum::{Extension, Json};
 use futures::{Stream, StreamExt as _};
 use http::{HeaderMap, StatusCode, header};
 use photoneye_proto::{FieldError, experiment_from_json, v1};
 use serde::Deserialize;
 
+use super::extract::{Path, Query};
 use super::{Shared, spec_text};
+use crate::access::Caller;
+use crate::admit::Wish;
 use crate::error::Error;
 
 /// A comment goes to silent readers so often.
@@ -22,15 +25,23 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
 pub(super) async fn plan(
     State(service): Shared,
+    Extension(caller): Extension<Caller>,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Json<v1::PlanReply>, Error> {
     let experiment = experiment_from_json(&spec_text(&headers, body).await?)?;
-    Ok(Json(service.plan(&experiment).await?))
+    Ok(Json(service.plan(&caller, &experiment).await?))
+}
+
+#[derive(Deserialize)]
+pub(super) struct Priority {
+    priority: Option<String>,
 }
 
 pub(super) async fn create(
     State(service): Shared,
+    Extension(caller): Extension<Caller>,
+    Query(query): Query<Priority>,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Error> {
@@ -39,7 +50,10 @@ pub(super) async fn create(
         Ok(key) if !key.is_empty() && key.len() <= 255 => Ok(key.to_owned()),
         _ => Err(FieldError::new("Idempotency-Key", "is 1 to 255 characters of plain text")),
     });
-    let (job, new) = service.create(&experiment, key.transpose()?).await?;
+    let priority =
+        query.priority.map(|text| text.parse().map_err(|_| FieldError::new("priority", "is not a number")));
+    let wish = Wish { request_id: key.transpose()?, priority: priority.transpose()? };
+    let (job, new) = service.create(&caller, &experiment, wish).await?;
     let place = [(header::LOCATION, format!("/v1/jobs/{}", job.id()))];
     let status = if new { StatusCode::CREATED } else { StatusCode::OK };
     Ok((status, place, Json(job)).into_response())
@@ -49,8 +63,12 @@ pub(super) async fn get(State(service): Shared, Path(id): Path<String>) -> Resul
     Ok(Json(service.job(&id).await?))
 }
 
-pub(super) async fn cancel(State(service): Shared, Path(id): Path<String>) -> Result<Json<v1::Job>, Error> {
-    Ok(Json(service.cancel(&id).await?))
+pub(super) async fn cancel(
+    State(service): Shared,
+    Extension(caller): Extension<Caller>,
+    Path(id): Path<String>,
+) -> Result<Json<v1::Job>, Error> {
+    Ok(Json(service.cancel(&caller, &id).await?))
 }
 
 #[derive(Deserialize)]
@@ -61,11 +79,12 @@ pub(super) struct Page {
 
 pub(super) async fn list(
     State(service): Shared,
+    Extension(caller): Extension<Caller>,
     Query(query): Query<Page>,
 ) -> Result<Json<v1::ListJobsReply>, Error> {
     let size =
         query.page_size.map(|size| size.parse().map_err(|_| FieldError::new("page_size", "is not a number")));
-    Ok(Json(service.list(query.page.as_deref(), size.transpose()?).await?))
+    Ok(Json(service.list(&caller, query.page.as_deref(), size.transpose()?).await?))
 }
 
 pub(super) async fn events(

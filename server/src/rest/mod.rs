@@ -3,6 +3,7 @@
 mod blobs;
 mod catalog;
 mod docs;
+mod extract;
 mod jobs;
 mod results;
 
@@ -44,6 +45,7 @@ pub fn routes(service: Arc<Service>) -> Router {
         .route("/v1/eyes", get(catalog::eyes))
         .route("/v1/spectra", get(catalog::spectra))
         .route("/v1/retinas", get(catalog::retinas))
+        .route("/v1/workers", get(catalog::workers))
         .route("/healthz", get(|| async { Json(serde_json::json!({"status": "ok"})) }))
         .route("/readyz", get(catalog::ready))
         .route("/metrics", get(catalog::metrics))
@@ -62,8 +64,7 @@ async fn wrong_method(request: Request) -> Response {
 
 /// For paths that neither door knows.
 pub async fn unknown(request: Request) -> Response {
-    let kind = request.headers().get(header::CONTENT_TYPE).map(http::HeaderValue::as_bytes);
-    if kind.is_some_and(|kind| kind.starts_with(b"application/grpc")) {
+    if crate::access::is_grpc(request.headers()) {
         return tonic::Status::unimplemented(format!("no method {}", request.uri().path()))
             .into_http::<Body>();
     }

@@ -1,9 +1,6 @@
 //! Both doors over real sockets: a job from its submission to its results, errors, uploads, restarts.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test says by panicking what is wrong")]
 
-mod common;
-
-use common::{CONES, get, http, post, spec, start, work, work_on};
+use crate::common::{CONES, get, http, post, spec, start, work, work_on};
 use photoneye_proto::v1;
 use photoneye_proto::v1::experiments_client::ExperimentsClient;
 use photoneye_server::{Options, Server, StartError};
@@ -232,6 +229,8 @@ async fn every_other_path_answers() {
         ("DELETE", "/v1/jobs", 405),
         ("POST", "/v1/jobs", 400),
         ("GET", "/v1/jobs?page_size=0", 400),
+        ("GET", "/v1/jobs?page=1&page=2", 400),
+        ("GET", "/v1/jobs/%ff/report", 400),
         ("GET", "/v1/jobs/j0/frames/x", 404),
         ("GET", "/v1/jobs/j0/results?from=x", 400),
     ] {

@@ -1,4 +1,5 @@
 //! A server in a temporary folder, a plain HTTP client, and a worker that makes up its results.
+
 use std::fmt::Write as _;
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
@@ -88,7 +89,7 @@ pub async fn post(address: SocketAddr, path: &str, body: &Value) -> Answer {
 
 async fn put(channel: &Channel, bytes: Vec<u8>) -> String {
     let parts = [Part::Size(bytes.len() as u64), Part::Bytes(bytes.into())];
-    let parts = parts.map(|part| v1::PutBlobRequest { part: Some(part) });
+    let parts = parts.map(|part| v1::PutBlobRequest { part: Some(part), made: Some(true) });
     let reply = BlobsClient::new(channel.clone()).put(tokio_stream::iter(parts)).await.unwrap();
     reply.into_inner().digest().to_owned()
 }
@@ -100,7 +101,12 @@ pub async fn work(channel: &Channel) -> usize {
 
 /// The same; with `real`, retinas are the model's, and counts fit them.
 pub async fn work_on(channel: &Channel, real: bool) -> usize {
-    let mut cones = CONES;
+    work_of(channel, real, CONES).await
+}
+
+/// The same with so many made-up cones.
+pub async fn work_of(channel: &Channel, real: bool, mut cones: u64) -> usize {
+    let made = cones;
     let mut workers = WorkersClient::new(channel.clone());
     for count in 0.. {
         let request = v1::LeaseRequest { worker: Some("test".into()), holds: Vec::new(), wait_ms: Some(0) };
@@ -109,7 +115,7 @@ pub async fn work_on(channel: &Channel, real: bool) -> usize {
             Work::Nothing(_) => return count,
             Work::Build(build) => {
                 assert!(build.spec_json().starts_with('{'));
-                let (bytes, held) = if real { built(channel, build).await } else { made_up(build) };
+                let (bytes, held) = if real { built(channel, build).await } else { made_up(build, made) };
                 if build.kind() == "cones" {
                     cones = held.unwrap_or(cones);
                 }
@@ -125,15 +131,14 @@ pub async fn work_on(channel: &Channel, real: bool) -> usize {
     unreachable!()
 }
 
-fn made_up(build: &v1::Build) -> (Vec<u8>, Option<u64>) {
-    let cones = (build.kind() == "cones").then_some(CONES);
-    (build.key().as_bytes().to_vec(), cones)
+fn made_up(build: &v1::Build, cones: u64) -> (Vec<u8>, Option<u64>) {
+    (build.key().as_bytes().to_vec(), (build.kind() == "cones").then_some(cones))
 }
 
 /// What the model builds; kernels are left out, nobody here counts.
 async fn built(channel: &Channel, build: &v1::Build) -> (Vec<u8>, Option<u64>) {
     if build.kind() == "kernels" {
-        return made_up(build);
+        return made_up(build, CONES);
     }
     let mut inputs = Vec::new();
     for input in &build.inputs {
@@ -151,12 +156,15 @@ async fn built(channel: &Channel, build: &v1::Build) -> (Vec<u8>, Option<u64>) {
     (built.bytes, built.cones)
 }
 
-/// Frame `f` counts f, f + 1, ….
+/// Frame `f` counts f, f + 1, …; many cones get noise, which does not shrink when it is packed.
 async fn counts(channel: &Channel, shard: &v1::Shard, cones: u64) -> v1::ShardResult {
     assert!(shard.experiment_json().contains("pupil_mm"));
     let mut chunks = Vec::new();
     for frame in shard.first_frame()..shard.first_frame() + shard.frame_count() {
-        let values: Vec<u32> = (0..cones as u32).map(|i| frame + i).collect();
+        let noise =
+            |i: u32| (frame + i).wrapping_mul(2_654_435_761).rotate_left(13).wrapping_mul(0x9e37_79b1);
+        let small = cones < 1000;
+        let values: Vec<u32> = (0..cones as u32).map(|i| if small { frame + i } else { noise(i) }).collect();
         let bytes = counts_stream(frame, shard.tile(), shard.first_cone(), Counts::U32(&values)).unwrap();
         let sum = values.iter().map(|value| f64::from(*value)).sum();
         chunks.push(v1::CommittedChunk {

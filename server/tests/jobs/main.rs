@@ -1,0 +1,10 @@
+//! The job machine: its steps, its stores, and every state of a small world.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::too_many_lines,
+    reason = "a test says by panicking what is wrong"
+)]
+
+mod machine;
+mod model;

@@ -1,0 +1,7 @@
+//! The server over real sockets.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test says by panicking what is wrong")]
+
+mod access;
+mod common;
+mod doors;
+mod streams;
