@@ -17,7 +17,7 @@ pub const LANES: usize = 4;
 /// The weights of all cones on the grid.
 #[derive(Default)]
 pub struct Stencils {
-    stencils: Vec<Stencil>,
+    cones: Vec<Stencil>,
     weights: Vec<f32>,
     /// Most columns and rows of a stencil.
     most: [usize; 2],
@@ -53,13 +53,13 @@ impl Stencils {
             all.weights.extend(cone.values);
             let size = cone.size.map(|s| s as usize);
             all.most = [all.most[0].max(size[0]), all.most[1].max(size[1])];
-            all.stencils.push(Stencil { first: cone.first, size: cone.size, offset });
+            all.cones.push(Stencil { first: cone.first, size: cone.size, offset });
         }
         all
     }
 
     fn of(&self, cone: usize) -> ([usize; 2], [usize; 2], &[f32]) {
-        let stencil = self.stencils[cone];
+        let stencil = self.cones[cone];
         let size = stencil.size.map(|v| v as usize);
         (stencil.first.map(|v| v as usize), size, &self.weights[stencil.offset..][..size[0] * size[1]])
     }

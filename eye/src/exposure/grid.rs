@@ -346,7 +346,9 @@ mod tests {
         let place = |wanted: [i32; 2]| band.iter().position(|nu| nu == wanted).unwrap();
         let kernel = |waves: &[([i32; 2], Complex64)]| {
             let mut kernel = vec![Complex64::ZERO; band.len];
-            waves.iter().for_each(|(nu, z)| kernel[place(*nu)] = *z);
+            for (nu, z) in waves {
+                kernel[place(*nu)] = *z;
+            }
             [Planar::<f32>::new(kernel.into_iter())]
         };
         let first = kernel(&[([0, 0], Complex64::ONE), ([2, 0], Complex64::new(0.25, 0.0))]);
