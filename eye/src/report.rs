@@ -39,8 +39,12 @@ pub struct PhotonBudget {
 impl PhotonBudget {
     /// The sum of all fates; equals `emitted`.
     pub fn fates(&self) -> f64 {
-        self.missed_pupil
-            + self.reflected
+        self.missed_pupil + self.into_pupil()
+    }
+
+    /// Photons that entered the pupil: the sum of their fates, because the emission less those that missed it loses seven digits.
+    pub fn into_pupil(&self) -> f64 {
+        self.reflected
             + self.cornea
             + self.lens
             + self.macula
@@ -49,11 +53,6 @@ impl PhotonBudget {
             + self.not_absorbed
             + self.not_isomerized
             + self.isomerized.iter().sum::<f64>()
-    }
-
-    /// Photons that entered the pupil.
-    pub fn into_pupil(&self) -> f64 {
-        self.emitted - self.missed_pupil
     }
 
     /// Adds another part.

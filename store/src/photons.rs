@@ -68,6 +68,9 @@ pub fn photons_stream(photons: &Photons) -> Result<Vec<u8>, TableError> {
     Ok(writer.into_inner()?)
 }
 
+/// The last bytes of an Arrow IPC stream.
+const END_OF_STREAM: [u8; 8] = [0xff, 0xff, 0xff, 0xff, 0, 0, 0, 0];
+
 /// The photons behind the counts of a chunk; `None` when none are listed.
 ///
 /// # Errors
@@ -82,6 +85,10 @@ pub fn read_photons(chunk: &[u8]) -> Result<Option<Photons>, TableError> {
         let rest = chunk.get(end..).unwrap_or_default();
         if rest.is_empty() {
             return Ok(None);
+        }
+        // A stream that is cut between two of its messages reads as a shorter one.
+        if !rest.ends_with(&END_OF_STREAM) {
+            return Err(TableError::Shape("the list of photons is cut".into()));
         }
         let mut photons = Photons::default();
         for batch in StreamReader::try_new(Cursor::new(rest), None)? {
