@@ -395,5 +395,6 @@ async fn speed_of_lease_and_commit() {
     let start = std::time::Instant::now();
     drop(store);
     let store = SqliteStore::open(&folder.path().join("jobs.db"), 0).await.unwrap();
-    println!("opened again in {:?}, job {:?}", start.elapsed(), store.state().jobs["a"].state);
+    // A job that ended is not kept in memory.
+    println!("opened again in {:?}, {} jobs in memory", start.elapsed(), store.state().jobs.len());
 }
