@@ -100,9 +100,9 @@ fn tables(p: &Prescription) -> Result<(), OpticsError> {
                 let Ok(pool) = pool else { continue };
                 let built = pool.install(|| best(2, field));
                 let made = field()?;
-                let one = best(20, || made.at(0.3 * half, 555.0));
+                let one = best(20, || made.at(0.3 * half));
                 println!(
-                    "  field of ±{half_deg}°, {nodes} x {nodes} nodes: {:.1} ms; a wavefront of it {:.0} µs",
+                    "  field of ±{half_deg}°, {nodes} x {nodes} nodes: {:.1} ms; the wavelengths of a point of it {:.0} µs",
                     1e3 * built,
                     1e6 * one
                 );

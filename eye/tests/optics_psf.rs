@@ -128,11 +128,13 @@ fn four_reference_point_spreads() {
         // Polynomials of degree 10 for the tight comparison: at 8 the aberrated case has 1.4e-6 of a low peak.
         let finer = WavefrontOptions { degree: Some(10), ..UNIFORM };
         let fine = psf(&Wavefront::new(&eye, object, case.wavelength_nm, &finer).unwrap(), &grid);
-        let linear = difference(&sum(&nodes(false)), &fine) / peak;
+        // Wide and off the axis the matrix form takes the distance to second order, else to first.
+        let like = if case.half_width_um > 20.0 { &exact } else { &sum(&nodes(false)) };
+        let same = difference(like, &fine) / peak;
         let strehl = w.strehl();
         let energy = fast.iter().sum::<f64>() * w.density_per_um2() * grid.pitch_um().powi(2);
         println!(
-            "{}° {} D {} nm: matrix {error:.1e}, Huygens {huygens_error:.1e}, matrix - linear Huygens {linear:.1e}, \
+            "{}° {} D {} nm: matrix {error:.1e}, Huygens {huygens_error:.1e}, matrix - Huygens {same:.1e}, \
              flipped {wrong:.1e}, Strehl {strehl:.4}, energy {energy:.4}, rms {:.4}",
             case.field_deg,
             case.vergence_d,
@@ -142,7 +144,7 @@ fn four_reference_point_spreads() {
         // In focus at the fovea 1e-3 of the peak, elsewhere 2e-3.
         let most = if case.field_deg < 6.0 && case.vergence_d < 0.1 { 1e-3 } else { 2e-3 };
         assert!(error < most && huygens_error < most);
-        assert!(linear < 1e-6);
+        assert!(same < if case.half_width_um > 20.0 { 1e-5 } else { 1e-6 });
         assert!((strehl - case.strehl).abs() < 2e-4 && (energy - case.energy).abs() < 5e-4);
         if case.field_deg > 9.0 {
             assert!(wrong > 0.1, "a flipped point spread must not pass");
@@ -176,7 +178,7 @@ fn flux_amplitude_and_apodization_agree_with_huygens() {
     let w = Wavefront::new(&eye, object, 590.0, &options).unwrap();
     let mut grid = PsfGrid::new(32, 20.0);
     grid.centre_um = DVec2::new(-8.0, 5.0);
-    let nodes = HuygensOptions { radial: 80, azimuth: 320, exact_distance: false };
+    let nodes = HuygensOptions { radial: 80, azimuth: 320, exact_distance: true };
     let slow = huygens::psf(&eye, object, 590.0, &options, &nodes, &grid).unwrap();
     let error = difference(&psf(&w, &grid), &slow) / largest(&slow);
     println!("6 mm, 20°, Stiles-Crawford: matrix - Huygens {error:.1e}, throughput {:.4}", w.throughput());
@@ -188,8 +190,7 @@ fn flux_amplitude_and_apodization_agree_with_huygens() {
 }
 
 /// Up to 20 degrees from the axis on the fovea's side, 6 mm, out of focus: production against the direct sum with exact distances.
-/// What is left is that production takes the distance to a sample to first order. On the other side, at -20 degrees and 6 mm (650 nm,
-/// 80 µm wide), that costs 9.3e-3 of a peak of 0.0038: not within 2e-3, and not asserted here.
+/// At -20 degrees, 25 from the line of sight, the spread is wide and low, and the distance to a sample counts to second order.
 #[test]
 fn the_field_to_20_degrees_agrees_with_huygens() {
     let mut worst = 0.0_f64;
@@ -199,12 +200,14 @@ fn the_field_to_20_degrees_agrees_with_huygens() {
         (6.0, 5.0, 1.0, 543.0),
         (3.0, 20.0, 0.0, 450.0),
         (6.0, 20.0, 0.0, 543.0),
+        (6.0, -20.0, 0.0, 650.0),
+        (6.0, -20.0, 0.0, 450.0),
     ] {
         let eye = eye(pupil_mm, 0.4);
         let object = Object::field(field_deg, vergence_d).unwrap();
         let w = Wavefront::new(&eye, object, nm, &UNIFORM).unwrap();
         let grid = PsfGrid::new(32, if pupil_mm > 3.5 || field_deg > 10.0 { 40.0 } else { 10.0 });
-        let nodes = HuygensOptions { radial: 60, azimuth: 240, exact_distance: true };
+        let nodes = HuygensOptions { radial: 120, azimuth: 360, exact_distance: true };
         let exact = huygens::psf(&eye, object, nm, &UNIFORM, &nodes, &grid).unwrap();
         let error = difference(&psf(&w, &grid), &exact) / largest(&exact);
         let foveal = field_deg < 6.0 && field_deg > 0.0 && vergence_d < 0.1;

@@ -6,7 +6,7 @@ use super::density::STEP_UM;
 use super::kernel::KernelSpec;
 use super::transfer::{FieldPoint, wavefront_options, wavefronts};
 use crate::optics::Projection;
-use crate::psf::{FieldTable, Wavefront, WavefrontTable};
+use crate::psf::{FieldTable, Wavefront, WavelengthNodes};
 
 /// Spectra of wavefronts that a field point takes: its own, and four beside it for the density.
 const SPECTRA_PER_POINT: usize = 5;
@@ -32,7 +32,7 @@ impl<'a> Field<'a> {
         let Some(bounds) = bounds(projection, spec) else { return none };
         let Some(nodes) = nodes(bounds, spec.tolerance) else { return none };
         let points: usize = spec.field_nodes.iter().map(|n| *n as usize).product();
-        let per_spectrum = WavefrontTable::traced_nodes(projection.eye(), [first, last]);
+        let per_spectrum = WavelengthNodes::new(projection.eye(), [first, last]).nm().len();
         let traced = SPECTRA_PER_POINT * points * per_spectrum.min(spec.nodes_nm.len());
         if nodes.iter().product::<usize>() * per_spectrum >= traced {
             return none;
@@ -57,10 +57,11 @@ impl<'a> Field<'a> {
         nodes_nm: &[f64],
         rho10_per_mm2: f64,
     ) -> Result<Vec<Wavefront>, String> {
-        let found = self.table.as_ref().and_then(|table| {
-            nodes_nm.iter().map(|&nm| table.at(point.tangent, nm)).collect::<Option<Vec<_>>>()
-        });
-        found.map_or_else(|| wavefronts(self.projection, point, nodes_nm, rho10_per_mm2), Ok)
+        let Some(table) = &self.table else {
+            return wavefronts(self.projection, point, nodes_nm, rho10_per_mm2);
+        };
+        let here = table.at(point.tangent);
+        Ok(nodes_nm.iter().map(|&nm| here.at(nm)).collect())
     }
 }
 

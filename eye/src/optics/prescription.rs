@@ -234,6 +234,11 @@ impl Prescription {
             .any(|s| s.toric.is_some())
     }
 
+    /// Whether the eye is its own mirror image in the plane of the optical axis and the fovea.
+    pub fn is_mirror_image(&self) -> bool {
+        !self.is_astigmatic() && self.wavefront.is_none()
+    }
+
     /// Distance from the corneal apex to the retina, mm; accommodation keeps it.
     pub fn axial_length_mm(&self) -> f64 {
         self.cornea_front.thickness_mm

@@ -1,7 +1,9 @@
-//! Wavefronts over field and wavelength: a grid of Chebyshev nodes in the tangents of the screen, a [`WavefrontTable`] at each.
+//! Wavefronts over field and wavelength: a grid of Chebyshev nodes in the tangents of the screen, each with the nodes in wavelength of a
+//! [`WavefrontTable`].
 //!
 //! Every quantity of a wavefront is smooth over the field, so it is interpolated by Lagrange polynomials in both tangents and in
-//! wavelength.
+//! wavelength. An eye without astigmatism and measured wavefront is its own mirror image in the plane of the optical axis and the fovea: of
+//! a field that is so too, one half is traced.
 //!
 //! # Accuracy
 //! Path differences against traced ones with the default eye, square fields about the line of sight, 400 to 700 nm: 3 nodes a side hold
@@ -9,12 +11,12 @@
 //! 6e-3 at 3 mm; see the test.
 //!
 //! # Cost
-//! One [`Wavefront`] a node and traced wavelength: 12 for a polyline of three pieces, 8 for a smooth law.
+//! One [`Wavefront`] a node and traced wavelength: 10 for a polyline of three pieces, 9 for a smooth law.
 
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::table::{WavefrontTable, blend};
+use super::table::{WavefrontTable, WavelengthNodes, blend};
 use super::wavefront::{Wavefront, WavefrontOptions, meridional_angle_at};
 use crate::exposure::nodes::{chebyshev, lagrange};
 use crate::optics::{OpticsError, Projection};
@@ -24,8 +26,9 @@ use crate::optics::{OpticsError, Projection};
 pub struct FieldTable {
     projection: Projection,
     axes: [Vec<f64>; 2],
-    /// `[y][x]`.
-    tables: Vec<WavefrontTable>,
+    wavelengths: WavelengthNodes,
+    /// `[wavelength][y][x]`.
+    nodes: Vec<Wavefront>,
 }
 
 impl FieldTable {
@@ -40,27 +43,47 @@ impl FieldTable {
         range_nm: [f64; 2],
         options: &WavefrontOptions,
     ) -> Result<Self, OpticsError> {
+        let eye = projection.eye();
         let xs = chebyshev(min.x, max.x, nodes[0].max(1));
         let ys = chebyshev(min.y, max.y, nodes[1].max(1));
-        let points: Vec<DVec2> = ys.iter().flat_map(|&y| xs.iter().map(move |&x| DVec2::new(x, y))).collect();
-        let tables = points
+        let wavelengths = WavelengthNodes::new(eye, range_nm);
+        let mirrored = min.y == -max.y && eye.prescription().is_mirror_image();
+        let rows = if mirrored { ys.len().div_ceil(2) } else { ys.len() };
+        let jobs: Vec<(f64, f64, f64)> = wavelengths
+            .nm()
+            .iter()
+            .flat_map(|&nm| ys[..rows].iter().map(move |&y| (nm, y)))
+            .flat_map(|(nm, y)| xs.iter().map(move |&x| (nm, y, x)))
+            .collect();
+        let traced: Vec<Wavefront> = jobs
             .par_iter()
-            .map(|&t| WavefrontTable::new(projection.eye(), projection.object(t), range_nm, options))
+            .map(|&(nm, y, x)| Wavefront::new(eye, projection.object(DVec2::new(x, y)), nm, options))
             .collect::<Result<_, _>>()?;
-        Ok(Self { projection: projection.clone(), axes: [xs, ys], tables })
+        let plane = rows * xs.len();
+        let mut all = Vec::with_capacity(wavelengths.nm().len() * ys.len() * xs.len());
+        for plane in traced.chunks_exact(plane) {
+            all.extend_from_slice(plane);
+            for row in plane.chunks_exact(xs.len()).take(ys.len() - rows).rev() {
+                all.extend(row.iter().map(Wavefront::mirrored));
+            }
+        }
+        Ok(Self { projection: projection.clone(), axes: [xs, ys], wavelengths, nodes: all })
     }
 
-    /// The wavefront of a point of the screen (tangents) at a wavelength, nm.
-    pub fn at(&self, tangent: DVec2, nm: f64) -> Option<Wavefront> {
+    /// The wavefronts of a point of the screen (tangents).
+    pub fn at(&self, tangent: DVec2) -> WavefrontTable {
         let [xs, ys] = &self.axes;
         let (across, down) = (lagrange(xs, tangent.x), lagrange(ys, tangent.y));
         let weights: Vec<f64> = down.iter().flat_map(|v| across.iter().map(move |u| u * v)).collect();
-        let nodes: Vec<Wavefront> = self.tables.iter().map(|t| t.at(nm)).collect::<Option<_>>()?;
         let eye = self.projection.eye();
-        let mut wavefront = blend(&nodes, &weights, nm, eye.indices(nm)[4]);
-        let frame = eye.fovea().local_frame(wavefront.landing);
-        wavefront.meridional_angle = meridional_angle_at(eye, wavefront.landing, frame);
-        Some(wavefront)
+        let planes = self.wavelengths.nm().iter().zip(self.nodes.chunks_exact(weights.len()));
+        let nodes = planes.map(|(&nm, plane)| {
+            let mut wavefront = blend(plane, &weights, nm, eye.indices(nm)[4]);
+            let frame = eye.fovea().local_frame(wavefront.landing);
+            wavefront.meridional_angle = meridional_angle_at(eye, wavefront.landing, frame);
+            wavefront
+        });
+        WavefrontTable::from_nodes(eye, self.wavelengths.clone(), nodes.collect())
     }
 }
 
@@ -82,7 +105,7 @@ mod tests {
         let mut worst = 0.0_f64;
         for (k, nm) in (0..).zip([410.0, 466.0, 549.0, 655.0]) {
             let t = half * (0.97 * DVec2::from_angle(0.6 + 1.7 * f64::from(k)));
-            let made = table.at(t, nm).unwrap();
+            let made = table.at(t).at(nm);
             let exact = Wavefront::new(projection.eye(), projection.object(t), nm, &options).unwrap();
             let from_q = |w: &Wavefront, q: DVec2| {
                 w.opd_um.at(w.axes.inverse() * (q - w.centre)) + q.dot(w.landing_um - exact.landing_um)
@@ -98,6 +121,41 @@ mod tests {
             assert!((made.meridional_angle - exact.meridional_angle).abs() < 1e-2);
         }
         worst
+    }
+
+    /// A point above the horizontal meridian and its mirror image below it.
+    #[test]
+    fn mirrored_wavefronts_are_the_traced_ones() {
+        let prescription = Prescription::preset("liou-brennan-1997").unwrap();
+        for side in [Side::Left, Side::Right] {
+            let state = EyeState {
+                pupil_mm: 4.0,
+                decentre_mm: 0.3,
+                accommodation_a: 0.0,
+                dispersion: prescription.default_dispersion(),
+                side,
+            };
+            let projection =
+                Projection::new(&SchematicEye::new(&prescription, &state).unwrap(), 500.0).unwrap();
+            let trace = |t: DVec2| {
+                let object = projection.object(t);
+                Wavefront::new(projection.eye(), object, 590.0, &WavefrontOptions::default()).unwrap()
+            };
+            let (above, below) = (trace(DVec2::new(0.2, 0.3)), trace(DVec2::new(0.2, -0.3)));
+            let made = above.mirrored();
+            assert!((made.landing_um - below.landing_um).length() < 1e-6);
+            assert!((made.landing - below.landing).length() < 1e-9);
+            assert!((made.meridional_angle - below.meridional_angle).abs() < 1e-9);
+            assert!((made.centre - below.centre).length() < 1e-9);
+            for i in 0..40 {
+                let s = DVec2::from_angle(2.4 * f64::from(i)) * (f64::from(i) / 39.0).sqrt();
+                assert!((made.axes * s - below.axes * s).length() < 1e-9);
+                assert!((made.opd_um.at(s) - below.opd_um.at(s)).abs() < 1e-7);
+                assert!((made.amplitude.at(s) / below.amplitude.at(s) - 1.0).abs() < 1e-7);
+                let turn = 0.157 * f64::from(i);
+                assert!((made.outline.at(turn)[0] - below.outline.at(turn)[0]).length() < 1e-9);
+            }
+        }
     }
 
     /// What the kernels ask: squares of a few degrees; and a field of 30 degrees to either side.

@@ -5,13 +5,16 @@
 //! field(ξ_i, ξ_j) = Σ_b exp(−i k' p_b ξ_j) Σ_a P_ab exp(−i k' p_ab ξ_i).
 //! Samples come in pairs ±ξ whose exponentials are conjugate: each product is taken once for both.
 //!
-//! # Accuracy
-//! The distance from the pupil to a sample is taken to first order in ξ, which costs 1.5e-3 of the peak at 20° with 6 mm (543 nm, 80 µm wide)
-//! and 9.3e-3 at -20°, 25° from the line of sight, where the spread is wide and low; the rest is below 1e-4 (`tests/optics_psf.rs`).
+//! # Distance to second order
+//! From a point of the reference sphere (radius R) to ξ it is R − p·ξ + (|ξ|² − (p·ξ)²)/2R + …. With p = m + d, m the pupil's middle, what
+//! changes over the pupil is ε = (m·ξ)(d·ξ)/R + (d·ξ)²/2R, some 0.2/k' at 25° from the line of sight in a spread 80 µm wide. There
+//! exp(−ik'ε) is expanded: field = Σ_ab c_ab(ξ) M_ab, M_ab the same integral with the weight d_i^a d_j^b, a + b ≤ 2. Where the light of
+//! the spread sees less than [`LEAST_EPSILON`] of it, M_00 is all.
 //!
 //! # Cost
 //! N = 0.95·ω/2 + 9 nodes per diameter (1.05·ω/2 + 12 for strong phases), ω/2 = half-width/λ'·π·(slope + reach):
-//! N²·n + N·n² multiplications. 10 % fewer nodes fall off a cliff (4e-3 → 0.2); a test compares N with 1.25 N.
+//! N²·n + N·n² multiplications, with the second order 3 N²·n + 6 N·n². 10 % fewer nodes fall off a cliff (4e-3 → 0.2); a test compares
+//! N with 1.25 N.
 
 use super::chords::Chords;
 use super::quadrature::gauss_legendre;
@@ -79,42 +82,93 @@ pub fn nodes_needed(half: f64, wavelength_um: f64, reach_um: f64) -> usize {
     (nodes.ceil() as usize).clamp(8, 4096)
 }
 
-/// One chord of the pupil: its place across (turns per µm) and the sums along it at the positive offsets.
+/// Largest k'ε (radians) that is left out.
+const LEAST_EPSILON: f64 = 5e-3;
+/// Exponents (a, b) of the moments M_ab; the first is all there is to first order.
+const MOMENTS: [(usize, usize); 6] = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)];
+
+/// One chord of the pupil: its place across and the sums along it at the positive offsets.
 struct Strip {
     turns_per_um: f64,
-    /// Field along i at +ξ and −ξ: real and imaginary parts.
-    plus: Vec<[f64; 2]>,
-    minus: Vec<[f64; 2]>,
+    /// Direction cosine across, from the pupil's middle.
+    across: f64,
+    /// Field along i at +ξ and −ξ (real and imaginary parts), for each power of the direction cosine along.
+    plus: Vec<Vec<[f64; 2]>>,
+    minus: Vec<Vec<[f64; 2]>>,
+}
+
+/// What the second order needs: m, 1/R and k'.
+struct Curved {
+    middle: DVec2,
+    per_radius: f64,
+    wavenumber: f64,
+}
+
+impl Curved {
+    /// The coefficients c_ab at a sample, each times a power of i: real for a + b even in the second order's part.
+    fn coefficients(&self, xi: DVec2) -> [(f64, f64); 6] {
+        let k = self.wavenumber;
+        let tilt = self.middle.dot(xi) * self.per_radius;
+        // exp(−ik'ε) = 1 − ik'ε − (k'ε)²/2, ε = tilt (d·ξ) + (d·ξ)²/2R.
+        let linear = -k * tilt;
+        let (re, im) = (-0.5 * (k * tilt).powi(2), -0.5 * k * self.per_radius);
+        let square = |x: f64| (re * x, im * x);
+        [
+            (1.0, 0.0),
+            (0.0, linear * xi.x),
+            (0.0, linear * xi.y),
+            square(xi.x * xi.x),
+            square(2.0 * xi.x * xi.y),
+            square(xi.y * xi.y),
+        ]
+    }
 }
 
 /// The point spread on the grid: 1 = the same pupil with no path difference, at its centre. Times
 /// [`Wavefront::density_per_um2`] it is a probability density. At most 8192 samples a side are computed.
 pub fn psf(w: &Wavefront, grid: &PsfGrid) -> Vec<f64> {
     let n = grid.samples.min(8192);
-    let strips = strips(w, grid, n.div_ceil(2));
+    let (strips, curved) = strips(w, grid, n.div_ceil(2));
     let across: Vec<Vec<(f64, f64)>> = strips.iter().map(|s| exponentials(s.turns_per_um, grid, n)).collect();
     let norm = w.amplitude_sum * w.axes.determinant().abs();
     let scale = 1.0 / (norm * norm);
+    let moments = if curved.is_some() { &MOMENTS[..] } else { &MOMENTS[..1] };
+    let (e_i, e_j) = grid.axes_of(w.meridional_angle);
+    let centre = DVec2::new(grid.centre_um.dot(e_i), grid.centre_um.dot(e_j));
     let mut out = vec![0.0; n * n];
-    for i in 0..n {
+    let mut fields = vec![[0.0; 2]; n];
+    for (i, row) in out.chunks_exact_mut(n.max(1)).enumerate() {
         // Row i: offset +ξ for the upper half of the rows, −ξ for the lower.
-        let h = if 2 * i >= n { i - n / 2 } else { (n - 1 - i) - n / 2 };
-        let fields = strips.iter().map(|s| if 2 * i >= n { s.plus[h] } else { s.minus[h] });
-        write_row(&mut out[i * n..(i + 1) * n], fields, &across, scale);
+        let upper = 2 * i >= n;
+        let h = if upper { i - n / 2 } else { (n - 1 - i) - n / 2 };
+        fields.fill([0.0; 2]);
+        for (which, &(a, b)) in moments.iter().enumerate() {
+            let along = strips.iter().map(|s| {
+                let [re, im] = if upper { s.plus[a][h] } else { s.minus[a][h] };
+                let factor = s.across.powi(b as i32);
+                [factor * re, factor * im]
+            });
+            let moment = moment_row(n, along, &across);
+            match &curved {
+                None => fields.copy_from_slice(&moment),
+                Some(curved) => {
+                    for (j, (field, [re, im])) in fields.iter_mut().zip(moment).enumerate() {
+                        let xi = centre + DVec2::new(grid.offset(i), grid.offset(j));
+                        let (c, s) = curved.coefficients(xi)[which];
+                        field[0] += c * re - s * im;
+                        field[1] += c * im + s * re;
+                    }
+                }
+            }
+        }
+        row.iter_mut().zip(&fields).for_each(|(v, [re, im])| *v = scale * (re * re + im * im));
     }
     out
 }
 
-/// |Σ_b G_b exp(−2πi turns_b ξ_j)|² for a row, each exponential used for +ξ and −ξ.
-fn write_row(
-    row: &mut [f64],
-    fields: impl Iterator<Item = [f64; 2]>,
-    across: &[Vec<(f64, f64)>],
-    scale: f64,
-) {
-    let n = row.len();
-    let half = n.div_ceil(2);
-    let mut sums = vec![[0.0; 4]; half];
+/// Σ_b G_b exp(−2πi turns_b ξ_j) for a row, each exponential used for +ξ and −ξ.
+fn moment_row(n: usize, fields: impl Iterator<Item = [f64; 2]>, across: &[Vec<(f64, f64)>]) -> Vec<[f64; 2]> {
+    let mut sums = vec![[0.0; 4]; n.div_ceil(2)];
     for ([re, im], factors) in fields.zip(across) {
         for (sum, (sin, cos)) in sums.iter_mut().zip(factors) {
             sum[0] += re * cos;
@@ -123,11 +177,13 @@ fn write_row(
             sum[3] += re * sin;
         }
     }
+    let mut row = vec![[0.0; 2]; n];
     for (h, [rc, is, ic, rs]) in sums.into_iter().enumerate() {
         // exp(−iφ) = cos − i sin at +ξ, the conjugate at −ξ.
-        row[n / 2 + h] = scale * ((rc + is).powi(2) + (ic - rs).powi(2));
-        row[n - 1 - (n / 2 + h)] = scale * ((rc - is).powi(2) + (ic + rs).powi(2));
+        row[n / 2 + h] = [rc + is, ic - rs];
+        row[n - 1 - (n / 2 + h)] = [rc - is, ic + rs];
     }
+    row
 }
 
 /// (sin, cos) of 2π·turns·ξ at the offsets from the middle up.
@@ -135,59 +191,92 @@ fn exponentials(turns_per_um: f64, grid: &PsfGrid, n: usize) -> Vec<(f64, f64)> 
     (n / 2..n).map(|i| sin_cos_turns(turns_per_um * grid.offset(i))).collect()
 }
 
-fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> Vec<Strip> {
+fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> (Vec<Strip>, Option<Curved>) {
     let wavelength = w.wavelength_um();
     let (e_i, e_j) = grid.axes_of(w.meridional_angle);
     let to_grid = DMat2::from_cols(e_i, e_j).transpose();
-    let chords = Chords::new(&w.outline.mapped(to_grid * w.axes, to_grid * w.centre));
+    let middle = to_grid * w.centre;
+    let chords = Chords::new(&w.outline.mapped(to_grid * w.axes, middle));
     let from_grid = (to_grid * w.axes).inverse();
-    let offset = from_grid * (to_grid * w.centre);
+    let offset = from_grid * middle;
     // Nodes: the rays land up to `reach` from the samples.
     let [gx, gy] = w.opd_um.gradient();
     let pull = w.axes.inverse().transpose();
-    let spot = w
-        .samples()
-        .map(|s| (pull * DVec2::new(gx.at(s), gy.at(s)) - grid.centre_um).length())
-        .fold(0.0, f64::max);
+    let landings = w.samples().map(|s| pull * DVec2::new(gx.at(s), gy.at(s)));
+    let (spot, lit) = landings.fold((0.0_f64, 0.0_f64), |(spot, lit), landing| {
+        (spot.max((landing - grid.centre_um).length()), lit.max(landing.length()))
+    });
     let reach = spot + std::f64::consts::SQRT_2 * grid.half_width_um;
+    let half = chords.half_height().max(chords.longest().1 / 2.0);
+    // The light lies within the rays' landing places and a few rings, and the grid ends.
+    let extent = (lit + 2.0 * wavelength / half)
+        .min(grid.centre_um.length() + std::f64::consts::SQRT_2 * grid.half_width_um);
+    let epsilon = half * extent * extent / w.radius_um * (middle.length() + 0.5 * half);
+    let wavenumber = std::f64::consts::TAU / wavelength;
+    let curved = (wavenumber * epsilon > LEAST_EPSILON).then_some(Curved {
+        middle,
+        per_radius: 1.0 / w.radius_um,
+        wavenumber,
+    });
+    let powers = if curved.is_some() { 3 } else { 1 };
     let count = |half: f64| grid.nodes.unwrap_or_else(|| nodes_needed(half, wavelength, reach));
     let outer = chords.rule(count(chords.half_height()));
     let inner = gauss_legendre(count(chords.longest().1 / 2.0));
     let turns = w.opd_um.scaled(1.0 / wavelength);
-    outer
+    let strips = outer
         .iter()
         .map(|&(chord, wu)| {
-            let mut sums = vec![[0.0; 4]; half_samples];
+            let mut sums = vec![vec![[0.0; 4]; half_samples]; powers];
             for &(v, wv) in &inner {
                 let p = DVec2::new(chord.middle + 0.5 * chord.length * v, chord.y);
                 let s = from_grid * p - offset;
                 let weight = w.amplitude.at(s) * wu * wv * 0.5 * chord.length;
                 let shift = (p.x * e_i + p.y * e_j).dot(grid.centre_um) / wavelength;
                 let (sin, cos) = sin_cos_turns(turns.at(s) - shift);
-                accumulate(&mut sums, weight * cos, weight * sin, p.x / wavelength, grid);
+                accumulate(&mut sums, [weight * cos, weight * sin], p.x, p.x - middle.x, wavelength, grid);
             }
+            let side = |sign: f64| {
+                let at = |[rc, is, ic, rs]: &[f64; 4]| [rc + sign * is, ic - sign * rs];
+                sums.iter().map(|power| power.iter().map(at).collect()).collect()
+            };
             Strip {
                 turns_per_um: chord.y / wavelength,
-                plus: sums.iter().map(|[rc, is, ic, rs]| [rc + is, ic - rs]).collect(),
-                minus: sums.iter().map(|[rc, is, ic, rs]| [rc - is, ic + rs]).collect(),
+                across: chord.y - middle.y,
+                plus: side(1.0),
+                minus: side(-1.0),
             }
         })
-        .collect()
+        .collect();
+    (strips, curved)
 }
 
-/// Adds (re + i im)·{cos, sin}(2π·turns·ξ) at the positive offsets; the exponential steps four samples at a time.
-fn accumulate(sums: &mut [[f64; 4]], re: f64, im: f64, turns_per_um: f64, grid: &PsfGrid) {
+/// Adds (re + i im)·d^a·{cos, sin}(2π·p/λ'·ξ) at the positive offsets to the sums of each power a; the exponential steps four samples at
+/// a time.
+fn accumulate(
+    sums: &mut [Vec<[f64; 4]>],
+    [re, im]: [f64; 2],
+    p: f64,
+    d: f64,
+    wavelength_um: f64,
+    grid: &PsfGrid,
+) {
+    let turns_per_um = p / wavelength_um;
     let first = grid.samples.min(8192) / 2;
     let (step_sin, step_cos) = sin_cos_turns(4.0 * turns_per_um * grid.pitch_um());
-    let mut lanes: [(f64, f64); 4] =
+    let start: [(f64, f64); 4] =
         std::array::from_fn(|l| sin_cos_turns(turns_per_um * grid.offset(first + l)));
-    for block in sums.chunks_mut(4) {
-        for (sum, (sin, cos)) in block.iter_mut().zip(&mut lanes) {
-            sum[0] += re * *cos;
-            sum[1] += im * *sin;
-            sum[2] += im * *cos;
-            sum[3] += re * *sin;
-            (*sin, *cos) = (*sin * step_cos + *cos * step_sin, *cos * step_cos - *sin * step_sin);
+    let (mut re, mut im) = (re, im);
+    for sums in sums {
+        let mut lanes = start;
+        for block in sums.chunks_mut(4) {
+            for (sum, (sin, cos)) in block.iter_mut().zip(&mut lanes) {
+                sum[0] += re * *cos;
+                sum[1] += im * *sin;
+                sum[2] += im * *cos;
+                sum[3] += re * *sin;
+                (*sin, *cos) = (*sin * step_cos + *cos * step_sin, *cos * step_cos - *sin * step_sin);
+            }
         }
+        (re, im) = (re * d, im * d);
     }
 }

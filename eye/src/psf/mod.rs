@@ -30,6 +30,6 @@ pub use huygens::HuygensOptions;
 pub use matrix::{GridAxes, PsfGrid, psf};
 pub use otf::Otf;
 pub use sampled::PupilSampling;
-pub use table::WavefrontTable;
+pub use table::{WavefrontTable, WavelengthNodes};
 pub use transfer_map::TransferMap;
 pub use wavefront::{Amplitude, StilesCrawfordApodization, Wavefront, WavefrontOptions};

@@ -57,6 +57,17 @@ impl Polynomial2 {
         Self::new(self.degree, self.coefficients.iter().map(|c| c * factor).collect())
     }
 
+    /// The polynomial of (−x, y).
+    #[must_use]
+    pub fn mirrored_x(&self) -> Self {
+        let mut out = self.clone();
+        for i in (1..=self.degree).step_by(2) {
+            let start = self.start(i);
+            out.coefficients[start..=start + self.degree - i].iter_mut().for_each(|c| *c = -*c);
+        }
+        out
+    }
+
     /// Derivatives by x and y.
     pub fn gradient(&self) -> [Self; 2] {
         let degree = self.degree.saturating_sub(1);

@@ -65,6 +65,8 @@ pub struct Wavefront {
     pub landing: DVec3,
     /// Direction of the retina's tangent away from the optical axis, radians from the x_um axis towards y_um.
     pub meridional_angle: f64,
+    /// Radius of the reference sphere, µm.
+    pub radius_um: f64,
     /// Direction cosines of the middle of the pupil.
     pub centre: DVec2,
     /// Direction cosines per pupil coordinate.
@@ -105,9 +107,9 @@ impl Wavefront {
     ) -> Result<Self, OpticsError> {
         let degree = options.degree.unwrap_or(if eye.state().pupil_mm <= 4.0 { 8 } else { 12 }).clamp(2, 20);
         let nodes = PupilNodes {
-            radial: options.radial_nodes.unwrap_or(degree * 3 / 4 + 2).max(2),
-            azimuth: options.azimuth_nodes.unwrap_or(3 * degree + 4).max(6),
-            edge: 4 * degree + 8,
+            radial: options.radial_nodes.unwrap_or(degree / 2 + 2).max(2),
+            azimuth: options.azimuth_nodes.unwrap_or(2 * degree + 4).max(6),
+            edge: 2 * degree + 9,
         };
         let rho = options.stiles_crawford.map_or(0.0, |s| s.rho_base10_per_mm2);
         crate::optics::error::in_range("rho_base10_per_mm2", rho, -0.5, 0.5)?;
@@ -117,12 +119,13 @@ impl Wavefront {
             return Err(lost);
         };
         let fitted = Fitted::new(eye, &bundle, options.amplitude, rho, degree, centre, axes);
-        let mut wavefront = Self {
+        Ok(Self {
             wavelength_nm,
             n_vitreous: bundle.n_vitreous,
             landing_um: eye.fovea().um_from_point(bundle.landing),
             landing: bundle.landing,
             meridional_angle: meridional_angle_of(eye, &bundle),
+            radius_um: 1e3 * bundle.radius_mm,
             centre,
             axes,
             opd_um: fitted.opd,
@@ -132,13 +135,11 @@ impl Wavefront {
             path_cornea: fitted.path_cornea,
             path_lens: fitted.path_lens,
             path_lens_variance: fitted.path_lens_variance,
-            amplitude_sum: 0.0,
-            energy_open: 0.0,
+            amplitude_sum: fitted.amplitude_sum,
+            energy_open: fitted.energy_open,
             throughput: fitted.throughput,
             rms_um: bundle.variance_mm2().sqrt() * 1e3,
-        };
-        wavefront.integrate();
-        Ok(wavefront)
+        })
     }
 
     /// A pupil that fills the disc of direction cosines |q| ≤ `sine` evenly, with a path difference (µm, over q/sine):
@@ -150,6 +151,7 @@ impl Wavefront {
             landing_um: DVec2::ZERO,
             landing: DVec3::ZERO,
             meridional_angle: 0.0,
+            radius_um: f64::INFINITY,
             centre: DVec2::ZERO,
             axes: DMat2::from_diagonal(DVec2::splat(sine)),
             opd_um,
@@ -159,12 +161,11 @@ impl Wavefront {
             path_cornea: 1.0,
             path_lens: 1.0,
             path_lens_variance: 0.0,
-            amplitude_sum: 0.0,
-            energy_open: 0.0,
+            amplitude_sum: PI,
+            energy_open: PI,
             throughput: 1.0,
             rms_um: 0.0,
         };
-        wavefront.integrate();
         let [mean, square] = wavefront.over_pupil(40, |s| {
             let w = wavefront.opd_um.at(s);
             [w, w * w]
@@ -173,13 +174,26 @@ impl Wavefront {
         wavefront
     }
 
-    fn integrate(&mut self) {
-        let [sum, energy] = self.over_pupil(32, |s| {
-            let a = self.amplitude.at(s);
-            [a, a * a]
-        });
-        self.amplitude_sum = sum;
-        self.energy_open = energy / self.throughput;
+    /// The wavefront of the object mirrored in the plane of the optical axis and the fovea, for an eye that has this symmetry: the
+    /// superior component of directions and places changes sign, that of the pupil coordinates (the first) too.
+    #[must_use]
+    pub fn mirrored(&self) -> Self {
+        let (place, pupil) = (DVec2::new(1.0, -1.0), DVec2::new(-1.0, 1.0));
+        let sign = |m: usize| if m.is_multiple_of(2) { 1.0 } else { -1.0 };
+        // The azimuth α in the stop becomes π − α.
+        let harmonics = self.outline.harmonics.iter().enumerate();
+        let harmonics = harmonics.map(|(m, (c, s))| (sign(m) * pupil * *c, -sign(m) * pupil * *s)).collect();
+        Self {
+            landing_um: place * self.landing_um,
+            landing: DVec3::new(-1.0, 1.0, 1.0) * self.landing,
+            meridional_angle: -self.meridional_angle,
+            centre: place * self.centre,
+            axes: DMat2::from_diagonal(place) * self.axes * DMat2::from_diagonal(pupil),
+            opd_um: self.opd_um.mirrored_x(),
+            amplitude: self.amplitude.mirrored_x(),
+            outline: Outline { harmonics },
+            ..self.clone()
+        }
     }
 
     /// ∫ f(s) ds over the pupil by `nodes`² nodes on chords.
@@ -266,6 +280,8 @@ struct Fitted {
     outline: Outline,
     flux: f64,
     throughput: f64,
+    amplitude_sum: f64,
+    energy_open: f64,
     path_cornea: f64,
     path_lens: f64,
     path_lens_variance: f64,
@@ -294,7 +310,7 @@ impl Fitted {
         let stop_per_s = Jacobian::new(&stop_x, &stop_y);
         let launch_per_s = Jacobian::new(&launch_x, &launch_y);
         let entrance_mm = eye.stop_radius_mm() * eye.stop_magnification();
-        let (mut flux, mut open, mut kept) = (0.0, 0.0, 0.0);
+        let (mut flux, mut sum, mut open, mut kept) = (0.0, 0.0, 0.0, 0.0);
         // Light that the cones accept, its paths in cornea and lens, and the square of the last.
         let (mut accepted, mut cornea, mut lens, mut square) = (0.0, 0.0, 0.0, 0.0);
         let mut amplitudes = Vec::with_capacity(points.len());
@@ -309,6 +325,7 @@ impl Fitted {
             amplitudes.push(amplitude * apodization);
             // d(stop) = stop_area·ds turns the weights of the stop into sums over s.
             let ds = ray.weight / stop_area;
+            sum += ds * amplitude * apodization;
             open += ds * amplitude * amplitude;
             kept += ds * (amplitude * apodization).powi(2);
             flux += ds * flux_density;
@@ -328,6 +345,8 @@ impl Fitted {
             outline: Outline::through(&rim),
             flux,
             throughput: kept / open,
+            amplitude_sum: sum,
+            energy_open: open,
             path_cornea: cornea / (accepted * thickness[0]),
             path_lens: lens / (accepted * thickness[2]),
             path_lens_variance: (square / accepted - (lens / accepted).powi(2)).max(0.0)

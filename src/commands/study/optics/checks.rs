@@ -1,4 +1,4 @@
-//! Closed forms and sums: the Airy disc, the light in growing windows, single against double precision.
+//! Published values, closed forms and sums: cardinal points, the Airy disc, the light in growing windows, single against double precision.
 
 use std::f64::consts::{PI, TAU};
 
@@ -13,11 +13,33 @@ use crate::row;
 
 /// Adds the tables.
 pub fn study(page: &mut Page) -> Result<(), Failure> {
-    page.heading("Closed forms and sums");
+    page.heading("Published values, closed forms and sums");
+    page.table(cardinal()?);
     page.table(airy());
     page.table(windows()?);
     page.table(precision()?);
     Ok(())
+}
+
+/// Paraxial values at 543 nm beside those that follow from the published eye (Escudero-Sanz and Navarro 1999; "1.13" is Deering's §16).
+fn cardinal() -> Result<Table, Failure> {
+    let found = eye(3.0)?.cardinal(NM);
+    let mut table = Table::new(
+        "cardinal",
+        "Cardinal values at 543 nm; places in mm from the corneal apex",
+        &["value", "traced", "published eye", "difference"],
+    );
+    for (name, traced, published) in [
+        ("power, D", found.power_d, 60.7242),
+        ("entrance pupil", found.entrance_pupil_z_mm, 3.0401),
+        ("entrance pupil / stop", found.stop_magnification, 1.13341),
+        ("exit pupil", found.exit_pupil_z_mm, 3.6825),
+        ("first nodal point", found.first_nodal_z_mm, 7.1437),
+        ("second nodal point", found.second_nodal_z_mm, 7.4524),
+    ] {
+        table.push(row![name, traced, published, traced - published]);
+    }
+    Ok(table)
 }
 
 /// Bessel's J1: (1/π)∫cos(t − x sin t) dt over 0 to π; the trapezoidal rule is exact to rounding for x below the number of nodes.

@@ -1,5 +1,6 @@
 //! `study optics`: the schematic eye and its images (§8, §12, §16, §21), and six ways to a point spread by error and time.
 
+mod absorption;
 mod checks;
 mod chromatic;
 mod drawing;
@@ -44,6 +45,7 @@ pub fn study(task: &mut Task, page: &mut Page) -> Result<(), Failure> {
     chromatic::study(page)?;
     task.say("closed forms");
     checks::study(page)?;
+    absorption::study(page)?;
     methods::study(task, page)?;
     papers_settings::study(task, page)
 }
