@@ -7,7 +7,7 @@ use photoneye_eye::optics::{
     Dispersion, EyeState, Object, OpticsError, Prescription, Projection, SchematicEye, Side,
 };
 use photoneye_eye::psf::{
-    FieldTable, HuygensOptions, Otf, PsfGrid, Wavefront, WavefrontOptions, WavefrontTable, huygens, psf,
+    FieldTableSpec, HuygensOptions, Otf, PsfGrid, Wavefront, WavefrontOptions, WavefrontTable, huygens, psf,
 };
 use std::hint::black_box;
 use std::time::Instant;
@@ -92,18 +92,23 @@ fn tables(p: &Prescription) -> Result<(), OpticsError> {
                 let slow = best(1, || huygens::psf(&eye, object, 543.0, &options, &rays, &grid));
                 println!("  direct sum, 1024 rays, all cores, times 45: {:.0} ms", 45e3 * slow);
             }
-            let screen = Projection::new(&eye, f64::INFINITY)?;
-            for (half_deg, nodes) in [(1.0_f64, 3), (2.5, 4), (30.0, 9)] {
-                let half = DVec2::splat(half_deg.to_radians().tan());
-                let field = || FieldTable::new(&screen, [-half, half], [nodes; 2], [390.0, 830.0], &options);
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
-                let Ok(pool) = pool else { continue };
-                let built = pool.install(|| best(2, field));
-                let made = field()?;
-                let one = best(20, || made.at(0.3 * half));
+            for reach_deg in [2.0, 10.0, 30.0] {
+                let Some((half_deg, nodes)) = FieldTableSpec::field(reach_deg) else { continue };
+                let spec = FieldTableSpec {
+                    prescription: p.clone(),
+                    state,
+                    distance_mm: 2400.0,
+                    half_deg,
+                    nodes,
+                    stiles_crawford_rho10_per_mm2: 0.05,
+                };
+                let made = spec.build()?;
+                let one = best(20, || made.at(DVec2::splat(0.3 * half_deg.to_radians())));
                 println!(
-                    "  field of ±{half_deg}°, {nodes} x {nodes} nodes: {:.1} ms; the wavelengths of a point of it {:.0} µs",
-                    1e3 * built,
+                    "  field of ±{half_deg}°, {} wavefronts, {} kB: {:.1} ms on all cores; the wavelengths of a point of it {:.0} µs",
+                    spec.traced()?,
+                    made.to_bytes().map_or(0, |bytes| bytes.len() / 1000),
+                    1e3 * best(5, || spec.build()),
                     1e6 * one
                 );
             }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::digest::{Digest, digest_of};
 use crate::exposure::KernelSpec;
+use crate::psf::{FieldTable, FieldTableSpec};
 use crate::retina::{
     ConeType, Counts, RegionUm, Retina, RetinaParams, RetinaTile, TileId, build_tile, import,
 };
@@ -37,6 +38,8 @@ pub enum ArtifactSpec {
         /// The region.
         region: RegionUm,
     },
+    /// The wavefronts of an eye over field and wavelength.
+    Wavefronts(Box<FieldTableSpec>),
     /// The optical kernels of a scene.
     Kernels(Box<KernelSpec>),
 }
@@ -54,6 +57,12 @@ pub struct Built {
     pub diagnostics: Vec<(String, u64)>,
 }
 
+impl Built {
+    fn without_cones(bytes: Vec<u8>) -> Self {
+        Self { bytes, cones: None, cones_by_type: [0; 3], diagnostics: Vec::new() }
+    }
+}
+
 /// Bytes of an input with its key.
 pub type Input<'a> = (Digest, &'a [u8]);
 
@@ -69,11 +78,12 @@ pub enum BuildError {
 }
 
 impl ArtifactSpec {
-    /// `retina-tile`, `cones` or `kernels`.
+    /// `retina-tile`, `cones`, `wavefronts` or `kernels`.
     pub fn kind(&self) -> &'static str {
         match self {
             Self::RetinaTile { .. } => "retina-tile",
             Self::Cones { .. } | Self::MeasuredCones { .. } => "cones",
+            Self::Wavefronts(_) => "wavefronts",
             Self::Kernels(_) => "kernels",
         }
     }
@@ -82,7 +92,8 @@ impl ArtifactSpec {
     fn version(&self) -> u32 {
         match self {
             Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 2,
-            Self::Kernels(_) => 5,
+            Self::Wavefronts(_) => 1,
+            Self::Kernels(_) => 6,
         }
     }
 
@@ -95,10 +106,16 @@ impl ArtifactSpec {
     }
 
     /// Keys of the artifacts it is made from.
-    pub fn inputs(&self) -> Vec<Digest> {
+    ///
+    /// # Errors
+    /// As [`ArtifactSpec::key`].
+    pub fn inputs(&self) -> Result<Vec<Digest>, postcard::Error> {
         match self {
-            Self::Cones { tiles, .. } => tiles.clone(),
-            Self::RetinaTile { .. } | Self::MeasuredCones { .. } | Self::Kernels(_) => Vec::new(),
+            Self::Cones { tiles, .. } => Ok(tiles.clone()),
+            Self::Kernels(spec) => {
+                spec.wavefronts.iter().map(|table| Self::Wavefronts(table.clone()).key()).collect()
+            }
+            Self::RetinaTile { .. } | Self::MeasuredCones { .. } | Self::Wavefronts(_) => Ok(Vec::new()),
         }
     }
 
@@ -106,7 +123,7 @@ impl ArtifactSpec {
     pub fn blob(&self) -> Option<&str> {
         match self {
             Self::MeasuredCones { table, .. } => Some(table),
-            Self::RetinaTile { .. } | Self::Cones { .. } | Self::Kernels(_) => None,
+            Self::RetinaTile { .. } | Self::Cones { .. } | Self::Wavefronts(_) | Self::Kernels(_) => None,
         }
     }
 
@@ -144,9 +161,18 @@ impl ArtifactSpec {
                     diagnostics: events(retina.cones.counts),
                 })
             }
+            Self::Wavefronts(spec) => {
+                let table = spec.build().map_err(|e| BuildError::Model(e.to_string()))?;
+                Ok(Built::without_cones(table.to_bytes().map_err(BuildError::Model)?))
+            }
             Self::Kernels(spec) => {
-                let bytes = spec.build().and_then(|k| k.to_bytes()).map_err(BuildError::Model)?;
-                Ok(Built { bytes, cones: None, cones_by_type: [0; 3], diagnostics: Vec::new() })
+                let keys = self.inputs().map_err(|e| BuildError::Model(e.to_string()))?;
+                let table = keys.first().map(|key| {
+                    let bytes = input(*key, inputs)?;
+                    FieldTable::from_bytes(bytes).map_err(|e| BuildError::Input(*key, e))
+                });
+                let kernels = spec.build(table.transpose()?.as_ref()).map_err(BuildError::Model)?;
+                Ok(Built::without_cones(kernels.to_bytes().map_err(BuildError::Model)?))
             }
         }
     }

@@ -42,7 +42,8 @@ fn total(experiment: &Experiment, lens: f64) -> f64 {
     let mut kernels = kernels.unwrap();
     kernels.lens_density_scale *= lens;
     if lens > 1.0 {
-        artifacts[1] = ArtifactSpec::Kernels(kernels).build(&[]).unwrap().bytes;
+        let inputs: Vec<_> = built.iter().map(|(key, bytes)| (*key, bytes.as_slice())).collect();
+        artifacts[1] = ArtifactSpec::Kernels(kernels).build(&inputs).unwrap().bytes;
     }
     match Exposure::new(experiment, &artifacts).unwrap().frame(0, None).unwrap().counts {
         FrameCounts::Means(means) => means.into_iter().map(f64::from).sum(),

@@ -94,6 +94,7 @@ fn symmetry_and_throughput() {
 fn transform(w: &Wavefront, half_width_um: f64, samples: usize, nus: &[DVec2]) -> Vec<Complex64> {
     let mut grid = PsfGrid::new(samples, half_width_um);
     grid.axes = GridAxes::Retina;
+    grid.fraunhofer = true;
     let image = psf(w, &grid);
     let scale = w.density_per_um2() * grid.pitch_um().powi(2);
     nus.iter()

@@ -24,7 +24,7 @@ use crate::cone::pigment::Pigments;
 use crate::display::photon_shares;
 use crate::media::Media;
 use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
-use crate::psf::Wavefront;
+use crate::psf::{FieldTable, FieldTableSpec, Wavefront};
 use crate::spectrum::Spectrum;
 
 const MAGIC: [u8; 8] = *b"PEkernl2";
@@ -72,6 +72,8 @@ pub struct KernelSpec {
     pub tolerance: f64,
     /// Highest frequency kept, cycles per unit tangent.
     pub band: f64,
+    /// The table that the wavefronts are taken from, an artifact of its own; without it each is traced.
+    pub wavefronts: Option<Box<FieldTableSpec>>,
 }
 
 /// The basis of one kind.
@@ -141,11 +143,11 @@ impl KernelSpec {
         ]
     }
 
-    /// Computes the kernels.
+    /// Computes the kernels, with the table that [`KernelSpec::wavefronts`] names.
     ///
     /// # Errors
     /// When a field point is not seen or an eye cannot be traced.
-    pub fn build(&self) -> Result<Kernels, String> {
+    pub fn build(&self, table: Option<&FieldTable>) -> Result<Kernels, String> {
         let projection = self.projection()?;
         let [xs, ys] = self.field_axes();
         let mut points = Vec::new();
@@ -156,7 +158,7 @@ impl KernelSpec {
         }
         // Everything in the order of points and wavelengths, whatever thread computes it.
         let rho = self.stiles_crawford_rho10_per_mm2;
-        let field = Field::new(&projection, self)?;
+        let field = Field::new(&projection, table);
         let wavefronts: Vec<Vec<Wavefront>> = points
             .par_iter()
             .map(|point| field.wavefronts(point, &self.nodes_nm, rho))

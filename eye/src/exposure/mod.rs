@@ -11,7 +11,7 @@ mod density;
 mod drive;
 mod events;
 mod expected;
-mod field;
+pub(crate) mod field;
 mod gather;
 mod grid;
 mod inputs;

@@ -13,7 +13,7 @@ use glam::{DMat2, DVec2, DVec3};
 /// Rays start this far before the entrance pupil, mm: outside of every eye.
 const BACK_MM: f64 = 25.0;
 /// A ray is aimed when it meets the stop this close to the wanted point, mm.
-const TOLERANCE_MM: f64 = 1e-12;
+const TOLERANCE_MM: f64 = 1e-11;
 /// Step of the finite differences, mm.
 const STEP_MM: f64 = 1e-5;
 

@@ -11,6 +11,9 @@ use crate::retina::Density;
 const SECONDS_PER_CONE: f64 = 11e-6;
 /// CPU seconds per transfer table (field node x wavelength) at 3 mm.
 const SECONDS_PER_TRANSFER: f64 = 2.5e-3;
+/// CPU seconds and bytes per wavefront of a table at 3 mm.
+pub const SECONDS_PER_WAVEFRONT: f64 = 0.2e-3;
+pub const BYTES_PER_WAVEFRONT: f64 = 1_500.0;
 /// A prediction.
 #[derive(Clone, Copy, Debug)]
 pub struct Cost {

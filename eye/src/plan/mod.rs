@@ -19,6 +19,7 @@ use crate::digest::Digest;
 use crate::display::emitters;
 use crate::experiment::{Engine, Experiment};
 use crate::exposure::KernelSpec;
+use crate::exposure::field::table_for;
 use crate::exposure::scene::Scene;
 use crate::exposure::spectral::Absorbers;
 use crate::media::Media;
@@ -198,7 +199,12 @@ fn planned_tiles(
         let kernels = kernel_spec(experiment, setup, region, &scene, nodes_nm.to_vec());
         Ok(PlannedTile { region: *region, scene, kernels })
     };
-    setup.tiles.iter().map(tile).collect()
+    let mut tiles: Vec<PlannedTile> = setup.tiles.iter().map(tile).collect::<Result<_, PlanError>>()?;
+    let kernels: Vec<&KernelSpec> = tiles.iter().map(|tile| &tile.kernels).collect();
+    let table =
+        setup.reach_deg().and_then(|reach| table_for(&kernels, &setup.projection, reach)).map(Box::new);
+    tiles.iter_mut().for_each(|tile| tile.kernels.wavefronts.clone_from(&table));
+    Ok(tiles)
 }
 
 /// A result tile with what it is computed with.
@@ -218,7 +224,7 @@ fn artifacts(
         let key = spec.key().map_err(|e| PlanError::Model(e.to_string()))?;
         Ok::<_, PlanError>(PlannedArtifact {
             key,
-            inputs: spec.inputs(),
+            inputs: spec.inputs().map_err(|e| PlanError::Model(e.to_string()))?,
             spec,
             predicted_seconds,
             predicted_bytes,
@@ -229,6 +235,11 @@ fn artifacts(
     let mut artifacts: Vec<PlannedArtifact> = Vec::new();
     let mut known = BTreeSet::new();
     let mut needed = Vec::new();
+    if let Some(table) = result_tiles.first().and_then(|tile| tile.kernels.wavefronts.clone()) {
+        let traced = table.traced().map_err(|e| PlanError::Model(e.to_string()))? as f64;
+        let (seconds, bytes) = (cost::SECONDS_PER_WAVEFRONT * traced, cost::BYTES_PER_WAVEFRONT * traced);
+        artifacts.push(planned(ArtifactSpec::Wavefronts(table), seconds, bytes)?);
+    }
     for PlannedTile { region, kernels, .. } in result_tiles {
         let kernels = ArtifactSpec::Kernels(Box::new(kernels));
         let kernels = planned(kernels, cost.kernel_seconds / parts, cost.kernel_bytes / parts)?;
@@ -310,5 +321,6 @@ fn kernel_spec(
         unbleached: part_unbleached(experiment),
         tolerance: BASIS_SHARE * experiment.accuracy_target,
         band: scene.band,
+        wavefronts: None,
     }
 }

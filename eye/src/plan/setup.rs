@@ -83,7 +83,18 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     Ok(Setup { prescription, state, projection, gaze, region, tiles, sight, retina, mosaic, guard_um })
 }
 
+/// Retina beyond a tile that its kernels look at, µm.
+const BESIDE_UM: f64 = 200.0;
+
 impl Setup {
+    /// Largest angle along the screen's axes from the line of sight to what the kernels of the patch look at, degrees; `None` when a part
+    /// of that sees no screen.
+    pub(super) fn reach_deg(&self) -> Option<f64> {
+        let beside = RegionUm { min: self.region.min - BESIDE_UM, max: self.region.max + BESIDE_UM };
+        let [min, max] = screen_bounds(&self.projection, &beside).ok()?;
+        Some(min.abs().max(max.abs()).max_element().atan().to_degrees())
+    }
+
     /// Window and grid of a result tile. A tile is imaged with all light that comes near its cones, wherever it is on the screen: tiles
     /// need no light from each other.
     ///

@@ -47,12 +47,21 @@ pub struct PsfGrid {
     pub axes: GridAxes,
     /// Nodes per pupil diameter; by default as many as the phase asks.
     pub nodes: Option<usize>,
+    /// Take distances to first order in ξ everywhere: the spread whose transform is [`super::Otf`], the same at any place.
+    pub fraunhofer: bool,
 }
 
 impl PsfGrid {
     /// A grid about the landing point of the chief ray, first index away from the optical axis.
     pub fn new(samples: usize, half_width_um: f64) -> Self {
-        Self { samples, half_width_um, centre_um: DVec2::ZERO, axes: GridAxes::Meridional, nodes: None }
+        Self {
+            samples,
+            half_width_um,
+            centre_um: DVec2::ZERO,
+            axes: GridAxes::Meridional,
+            nodes: None,
+            fraunhofer: false,
+        }
     }
 
     /// Distance of two samples, µm.
@@ -213,7 +222,7 @@ fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> (Vec<Strip>, Op
         .min(grid.centre_um.length() + std::f64::consts::SQRT_2 * grid.half_width_um);
     let epsilon = half * extent * extent / w.radius_um * (middle.length() + 0.5 * half);
     let wavenumber = std::f64::consts::TAU / wavelength;
-    let curved = (wavenumber * epsilon > LEAST_EPSILON).then_some(Curved {
+    let curved = (!grid.fraunhofer && wavenumber * epsilon > LEAST_EPSILON).then_some(Curved {
         middle,
         per_radius: 1.0 / w.radius_um,
         wavenumber,

@@ -25,7 +25,7 @@ pub mod table;
 pub mod transfer_map;
 pub mod wavefront;
 
-pub use field_table::FieldTable;
+pub use field_table::{FieldTable, FieldTableSpec};
 pub use huygens::HuygensOptions;
 pub use matrix::{GridAxes, PsfGrid, psf};
 pub use otf::Otf;

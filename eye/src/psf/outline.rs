@@ -2,10 +2,11 @@
 
 use super::sincos::sin_cos_turns;
 use glam::{DMat2, DVec2};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// A closed curve. Harmonic m is (cosine, sine) coefficients of x and y; harmonic 0 is the centre.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outline {
     /// (cosine part, sine part) of each harmonic.
     pub harmonics: Vec<(DVec2, DVec2)>,

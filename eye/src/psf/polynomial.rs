@@ -1,9 +1,10 @@
 //! Polynomials of two variables, Σ c_ij x^i y^j with i + j ≤ degree; coefficients by rising i, then rising j.
 
 use glam::DVec2;
+use serde::{Deserialize, Serialize};
 
 /// A polynomial of x and y.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Polynomial2 {
     degree: usize,
     coefficients: Vec<f64>,

@@ -14,6 +14,7 @@ use super::wavefront::{Wavefront, WavefrontOptions};
 use crate::exposure::nodes::lagrange;
 use crate::optics::{Dispersion, Object, OpticsError, SchematicEye};
 use glam::{DMat2, DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
 /// Traced wavelengths of a smooth law, and in one straight piece of a polyline.
@@ -21,7 +22,7 @@ const NODES: usize = 9;
 const NODES_STRAIGHT: usize = 4;
 
 /// Nodes in wavelength: smooth pieces that share their ends.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WavelengthNodes {
     nm: Vec<f64>,
     /// Nodes in a piece, both ends counted.
@@ -97,16 +98,12 @@ impl WavefrontTable {
         let wavelengths = WavelengthNodes::new(eye, range_nm);
         let nodes = wavelengths.nm().iter().map(|&nm| Wavefront::new(eye, object, nm, options));
         let nodes = nodes.collect::<Result<_, _>>()?;
-        Ok(Self::from_nodes(eye, wavelengths, nodes))
+        Ok(Self::from_nodes(eye.clone(), wavelengths, nodes))
     }
 
     /// A table of wavefronts at the nodes, however they were made.
-    pub(super) fn from_nodes(
-        eye: &SchematicEye,
-        wavelengths: WavelengthNodes,
-        nodes: Vec<Wavefront>,
-    ) -> Self {
-        Self { eye: eye.clone(), wavelengths, nodes }
+    pub(super) fn from_nodes(eye: SchematicEye, wavelengths: WavelengthNodes, nodes: Vec<Wavefront>) -> Self {
+        Self { eye, wavelengths, nodes }
     }
 
     /// The wavefront at a wavelength (nm) of the range.

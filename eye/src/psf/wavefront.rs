@@ -53,7 +53,7 @@ pub struct WavefrontOptions {
 }
 
 /// A wavefront. Fields with no unit said are in pupil coordinates.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Wavefront {
     /// Vacuum wavelength, nm.
     pub wavelength_nm: f64,
@@ -107,8 +107,8 @@ impl Wavefront {
     ) -> Result<Self, OpticsError> {
         let degree = options.degree.unwrap_or(if eye.state().pupil_mm <= 4.0 { 8 } else { 12 }).clamp(2, 20);
         let nodes = PupilNodes {
-            radial: options.radial_nodes.unwrap_or(degree / 2 + 2).max(2),
-            azimuth: options.azimuth_nodes.unwrap_or(2 * degree + 4).max(6),
+            radial: options.radial_nodes.unwrap_or(degree / 2 + 1).max(2),
+            azimuth: options.azimuth_nodes.unwrap_or(2 * degree + 2).max(6),
             edge: 2 * degree + 9,
         };
         let rho = options.stiles_crawford.map_or(0.0, |s| s.rho_base10_per_mm2);

@@ -52,7 +52,8 @@ impl Spread {
         let widest = wavefront.axes.x_axis.length().max(wavefront.axes.y_axis.length());
         let period_um = wavefront.wavelength_um() / (2.0 * widest);
         let samples = ((2.0 * half_um * PER_PERIOD / period_um).ceil() as usize).clamp(64, MAX_SAMPLES);
-        let grid = PsfGrid { axes: GridAxes::Retina, ..PsfGrid::new(samples, half_um) };
+        // As the kernels of the other engines: the same spread at any distance.
+        let grid = PsfGrid { axes: GridAxes::Retina, fraunhofer: true, ..PsfGrid::new(samples, half_um) };
         let pitch_um = grid.pitch_um();
         let cell = wavefront.density_per_um2() * pitch_um * pitch_um;
         let values = psf(wavefront, &grid);
