@@ -28,6 +28,7 @@ mod source;
 pub mod spectral;
 mod spread;
 pub mod stray;
+mod tail;
 pub(crate) mod transfer;
 
 use glam::DVec2;
@@ -112,6 +113,7 @@ pub struct Exposure {
     ids: Vec<u64>,
     ledger: Ledger,
     counter: Counter,
+    tail: Option<tail::Tail>,
     veil: Option<stray::Veil>,
     pattern: Option<Picture>,
 }
@@ -138,6 +140,8 @@ impl Exposure {
             Engine::Paper => Counter::Paper(Box::new(Paper::new(experiment, &inputs).map_err(model)?)),
         };
         let veil = experiment.eye.stray_light.map(|light| stray::Veil::new(&inputs, &cones, light));
+        let tail =
+            matches!(counter, Counter::Expected(_)).then(|| tail::Tail::new(&inputs, &cones)).flatten();
         let Inputs { retina, projector, scene, .. } = inputs;
         let pattern = match &experiment.video {
             Video::Pattern(pattern) => Some(draw(pattern, &projector.display, &experiment.gaze)),
@@ -151,6 +155,7 @@ impl Exposure {
             ids: retina.cones.id,
             ledger,
             counter,
+            tail,
             veil,
             pattern,
         })
@@ -215,6 +220,9 @@ impl Exposure {
             Counter::Expected(expected) => {
                 let source = self.projector.frame(&shown, &self.scene);
                 let mut means = expected.frame(&source);
+                if let Some(tail) = &self.tail {
+                    tail.correct(&mut means, (&shown, &source), &self.projector);
+                }
                 if let Some(veil) = &self.veil {
                     veil.add(&mut means, &shown, &self.projector);
                 }

@@ -63,8 +63,8 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     let sight = gaze.bounds(seconds);
     let region = region(experiment, &projection, sight)?;
     let guard_um = match experiment.accuracy_target {
-        t if t >= 0.005 => 150.0,
-        t if t >= 5e-4 => 300.0,
+        t if t >= 5e-4 => 150.0,
+        t if t >= 5e-5 => 300.0,
         _ => 600.0,
     };
     if experiment.eye.stray_light.is_some() && experiment.counts.engine != Engine::Expected {
