@@ -28,7 +28,7 @@ const POINTS: usize = 40;
 const STEPS: u32 = 400;
 
 /// E(B) per accuracy target.
-const LOSS: f64 = 0.3;
+const LOSS: f64 = 0.4;
 
 /// Highest frequency kept for a patch, cycles per unit tangent: the eye's own, or where E(B) is small against the accuracy target.
 ///
