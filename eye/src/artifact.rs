@@ -82,7 +82,7 @@ impl ArtifactSpec {
     fn version(&self) -> u32 {
         match self {
             Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 2,
-            Self::Kernels(_) => 5,
+            Self::Kernels(_) => 6,
         }
     }
 

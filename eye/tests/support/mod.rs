@@ -85,9 +85,12 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             seed: 7,
             photon_list: false,
             wavelength_step_nm: None,
+            knobs: photoneye_eye::plan::Knobs::default(),
             paper: PaperSettings::default(),
         },
         accuracy_target: 0.01,
+        audit_cones: 0,
+        computed_anyway: Vec::new(),
         frames: 1,
     }
 }

@@ -5,7 +5,7 @@
 //! photons: its error holds chance, √(2m/π) a cone of mean m, which is told beside it.
 
 mod scaling;
-mod scenes;
+pub mod scenes;
 
 use photoneye_eye::experiment::{Engine, Experiment, PaperSettings};
 use photoneye_eye::plan::plan;
@@ -22,10 +22,13 @@ use crate::failure::Failure;
 use crate::row;
 
 /// A scene to be judged.
-struct Scene {
-    name: String,
-    experiment: Experiment,
-    pictures: Vec<Picture>,
+pub struct Scene {
+    /// What it is called.
+    pub name: String,
+    /// The experiment.
+    pub experiment: Experiment,
+    /// Its pictures; none for a drawn pattern.
+    pub pictures: Vec<Picture>,
 }
 
 /// One run of a scene.
@@ -113,7 +116,10 @@ pub fn study(task: &mut Task, args: &StudyArgs, page: &mut Page) -> Result<(), F
 }
 
 /// The user's experiment.
-fn read(path: &std::path::Path, changes: &[String]) -> Result<Scene, Failure> {
+///
+/// # Errors
+/// What the file or the schema refuses.
+pub fn read(path: &std::path::Path, changes: &[String]) -> Result<Scene, Failure> {
     let mut file = ExperimentFile::read(path, changes)?;
     let bytes = file.keep();
     let pictures: Result<Vec<Picture>, _> = bytes.iter().map(|b| decode_png(b, Limits::default())).collect();
@@ -143,7 +149,7 @@ fn judge(task: &mut Task, scene: &Scene) -> Result<(Vec<Point>, usize), Failure>
         let chance =
             reference.counts.iter().map(|m| (m * std::f64::consts::FRAC_2_PI).sqrt()).sum::<f64>() / total;
         let chance = if knob == PAPER { chance } else { 0.0 };
-        let seconds = [outcome.optics_s, outcome.prepare_s, outcome.frames_s];
+        let seconds = [outcome.stages.optics, outcome.stages.prepare, outcome.stages.frames];
         points.push(Point { knob, setting, seconds, error, chance });
         Ok(())
     };

@@ -57,19 +57,19 @@ pub fn study(task: &mut Task, page: &mut Page) -> Result<(), Failure> {
                     x,
                     name,
                     cones,
-                    o.mosaic_s,
-                    o.optics_s,
-                    o.prepare_s,
-                    o.frames_s
+                    o.stages.mosaic,
+                    o.stages.optics,
+                    o.stages.prepare,
+                    o.stages.frames
                 ]);
                 if engine == Engine::Paper {
-                    curves[3].push((x, o.frames_s));
+                    curves[3].push((x, o.stages.frames));
                 } else {
-                    if o.mosaic_s > 0.0 {
-                        curves[0].push((x, o.mosaic_s));
+                    if o.stages.mosaic > 0.0 {
+                        curves[0].push((x, o.stages.mosaic));
                     }
-                    curves[1].push((x, o.optics_s + o.prepare_s));
-                    curves[2].push((x, o.frames_s));
+                    curves[1].push((x, o.stages.optics + o.stages.prepare));
+                    curves[2].push((x, o.stages.frames));
                 }
             }
         }
