@@ -24,7 +24,7 @@ const QUANTILES: [f64; 3] = [0.3, 0.55, 0.8];
 /// Directions over half a turn.
 const DIRECTIONS: u32 = 3;
 /// Frequencies at which the transfer is computed, and steps of the integral.
-const POINTS: usize = 40;
+const POINTS: usize = 24;
 const STEPS: u32 = 400;
 
 /// Parts of half a large patch at which the transfer is traced, along either axis.

@@ -22,7 +22,7 @@ const SECONDS_PER_TRACE: f64 = 2.0e-3;
 /// Bytes of a cone in a tile.
 const BYTES_PER_CONE: f64 = 140.0;
 /// Bytes of a worker that has done something.
-const BASE_BYTES: f64 = 70e6;
+const BASE_BYTES: f64 = 90e6;
 const SECONDS_PER_AUDITED_SPREAD: f64 = 8e-3;
 
 /// How slow a machine is against the one of the constants, by stage: factors on predicted seconds, 1 on that machine.

@@ -90,6 +90,8 @@ impl Numerics {
         // One of three values: coarse, usual, fine.
         let (coarse, usual) = (target >= 5e-3, target >= 5e-4);
         let fine = target >= 5e-5;
+        // The tail of a spread is as long as the pupil is small.
+        let farther = (3.0 / experiment.eye.pupil_mm).clamp(1.0, 4.0);
         Self {
             wavelength_step_nm: experiment.counts.wavelength_step_nm.unwrap_or(if usual {
                 10.0
@@ -102,11 +104,11 @@ impl Numerics {
             basis_tolerance: knobs.basis_tolerance.unwrap_or(BASIS_SHARE * target),
             band_loss: knobs.band_loss.unwrap_or(LOSS * target),
             guard_um: knobs.guard_um.unwrap_or(if coarse {
-                150.0
+                150.0 * farther
             } else if usual {
-                300.0
+                300.0 * farther
             } else {
-                600.0
+                600.0 * farther
             }),
             spread_width: knobs.spread_width.map_or(if usual { 6 } else if fine { 8 } else { 10 }, |w| w as usize),
             oversampling: knobs.oversampling.unwrap_or(if usual { 1.12 } else { 1.25 }),

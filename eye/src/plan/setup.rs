@@ -217,10 +217,10 @@ fn region(
 
 /// Rectangle of the screen that holds everything imaged on a patch and on the apertures that stick out of it.
 fn screen_bounds(projection: &Projection, region: &RegionUm) -> Result<[DVec2; 2], PlanError> {
-    const APERTURES_UM: f64 = 8.0;
+    // Apertures stick out by 8 µm, and an edge of a tile is bent by 12.
+    const BEYOND_UM: f64 = 24.0;
     let (mut min, mut max) = (DVec2::MAX, DVec2::MIN);
-    // An edge of a tile is bent by 12 µm at most: of that two points see three quarters, the guard has the rest.
-    for um in edge_points([region.min - APERTURES_UM, region.max + APERTURES_UM], 2) {
+    for um in edge_points([region.min - BEYOND_UM, region.max + BEYOND_UM], 1) {
         let t = projection.screen_tangent(um).map_err(|e| PlanError::Model(e.to_string()))?;
         (min, max) = (min.min(t), max.max(t));
     }
