@@ -7,7 +7,7 @@ use clap::{Args, Parser, Subcommand};
 
 use crate::cli_access::{DoctorArgs, KeysArgs};
 use crate::cli_optics::{PsfArgs, RetinaArgs, TraceArgs};
-use crate::cli_study::StudyArgs;
+use crate::cli_study::{CalibrateArgs, StudyArgs};
 
 /// Photon-accurate simulation of the human eye looking at a display.
 ///
@@ -58,6 +58,8 @@ pub enum Command {
     Cancel(JobArgs),
     /// Draw the pictures of a result folder again
     Render(RenderArgs),
+    /// Measure how fast this machine is and keep it in the data folder, so that predicted times are its own
+    Calibrate(CalibrateArgs),
     /// List the displays, show one, or import one of ColorVideoVDP
     Displays(DisplaysArgs),
     /// Grow the cones out to an eccentricity; prints figures of the mosaic

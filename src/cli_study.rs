@@ -16,12 +16,20 @@ pub struct StudyArgs {
     /// Smaller and coarser: seconds instead of minutes
     #[arg(long)]
     pub quick: bool,
-    /// An experiment of your own instead of the built-in scenes (error-vs-time)
+    /// An experiment of your own instead of the built-in scenes (error-vs-time, prediction)
     #[arg(long, value_name = "FILE.json")]
     pub spec: Option<PathBuf>,
     /// Change a field of that experiment: eye.pupil_mm=5, accuracy.target=0.001
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub set: Vec<String>,
+}
+
+/// `calibrate`.
+#[derive(Debug, Args)]
+pub struct CalibrateArgs {
+    /// Data folder of the server [default: $XDG_DATA_HOME/photoneye, else ~/.local/share/photoneye]
+    #[arg(long, env = "PHOTONEYE_DATA", value_name = "DIR")]
+    pub data: Option<PathBuf>,
 }
 
 /// What can be looked into.
@@ -35,6 +43,8 @@ pub enum StudyTopic {
     Retina,
     /// Error of the mean per cone against CPU time, for each setting and engine.
     ErrorVsTime,
+    /// What was foreseen against what it took: seconds, memory and errors of the example experiments and the built-in scenes.
+    Prediction,
     /// Extreme and stiff cases, each with its figure and limit; fails when one does.
     Stability,
 }

@@ -12,6 +12,7 @@ pub fn of_report(report: &Value, out: &Path, pictures: usize) -> String {
     let budget = serde_json::from_value(report["photon_budget"].clone()).unwrap_or_default();
     photons(&mut text, &budget);
     cones(&mut text, report);
+    audit(&mut text, report);
     seconds(&mut text, report);
     let _ = writeln!(text, "Result        {}", out.display());
     if pictures > 0 {
@@ -78,6 +79,21 @@ fn mean_of_type(report: &Value, name: &str) -> f64 {
     let means = frames.iter().filter_map(|frame| frame["types"][name]["mean"].as_f64());
     let (sum, count) = means.fold((0.0, 0.0), |(sum, count), mean| (sum + mean, count + 1.0));
     if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// What was found by computing cones again.
+fn audit(text: &mut String, report: &Value) {
+    let found = &report["audit"];
+    let Some(error) = found["relative_error"].as_f64() else { return };
+    let bound = found["bound_95"].as_f64().map_or(String::new(), |b| format!(", at most {b:.1e} (95 %)"));
+    let target = found["target"].as_f64().unwrap_or(0.0);
+    let chance = found["by_chance"].as_f64().filter(|c| *c > 0.0);
+    let chance = chance.map_or(String::new(), |c| format!(", of that {c:.1e} by chance"));
+    let cones = found["cones"].as_u64().unwrap_or(0);
+    let _ = writeln!(
+        text,
+        "Audit         {cones} cones computed again: error {error:.1e}{bound}{chance}; target {target}"
+    );
 }
 
 fn seconds(text: &mut String, report: &Value) {

@@ -93,7 +93,7 @@ fn tables(p: &Prescription) -> Result<(), OpticsError> {
                 println!("  direct sum, 1024 rays, all cores, times 45: {:.0} ms", 45e3 * slow);
             }
             for reach_deg in [2.0, 10.0, 30.0] {
-                let Some((half_deg, nodes)) = FieldTableSpec::field(reach_deg) else { continue };
+                let Some((half_deg, nodes)) = FieldTableSpec::field(reach_deg, pupil_mm) else { continue };
                 let spec = FieldTableSpec {
                     prescription: p.clone(),
                     state,

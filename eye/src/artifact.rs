@@ -93,7 +93,7 @@ impl ArtifactSpec {
         match self {
             Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 2,
             Self::Wavefronts(_) => 1,
-            Self::Kernels(_) => 6,
+            Self::Kernels(_) => 7,
         }
     }
 

@@ -8,13 +8,14 @@ use serde::{Deserialize, Serialize};
 use crate::digest::{Digest, digest_of};
 use crate::display::Display;
 use crate::optics::{Dispersion, OpticsError, Prescription, Side};
+use crate::plan::{Knobs, Rule};
 use crate::retina::{
     CellWalls, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry, RetinaParams,
 };
 use crate::video::ClipFormat;
 
 /// Version of the counts that an experiment gives; rises whenever the same experiment gives other counts.
-pub const COUNTS_VERSION: u32 = 5;
+pub const COUNTS_VERSION: u32 = 6;
 
 /// What a user asks for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -33,6 +34,12 @@ pub struct Experiment {
     pub counts: Counts,
     /// Relative error of the mean per cone, L1 over cones.
     pub accuracy_target: f64,
+    /// Cones of the result that are computed again by a slow direct sum.
+    #[serde(default)]
+    pub audit_cones: u32,
+    /// Omissions that are not made.
+    #[serde(default)]
+    pub computed_anyway: Vec<Rule>,
     /// Number of frames, 1 to 100 000.
     pub frames: u32,
 }
@@ -309,6 +316,9 @@ pub struct Counts {
     pub photon_list: bool,
     /// Spacing of wavelengths fixed by hand, nm.
     pub wavelength_step_nm: Option<f64>,
+    /// Numerical settings fixed by hand.
+    #[serde(default)]
+    pub knobs: Knobs,
     /// Settings of the `paper` engine.
     pub paper: PaperSettings,
 }
@@ -387,7 +397,9 @@ impl Experiment {
         check_range("counts.settings.paper_samples", f64::from(self.counts.paper.samples), 16.0, 512.0)?;
         check_range("counts.settings.paper_window_um", self.counts.paper.window_um, 5.0, 2000.0)?;
         check_range("counts.settings.paper_node_um", self.counts.paper.node_um, 10.0, 5000.0)?;
+        self.counts.knobs.validate()?;
         check_range("accuracy.target", self.accuracy_target, 1e-5, 0.2)?;
+        check_range("accuracy.audit_cones", f64::from(self.audit_cones), 0.0, 10_000.0)?;
         check_range("frames.count", f64::from(self.frames), 1.0, 100_000.0)
     }
 

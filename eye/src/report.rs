@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::exposure::AuditSample;
+
 /// Where the photons of the shown frames went, in photons (means, not draws). Every photon has one fate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PhotonBudget {
@@ -79,6 +81,12 @@ impl PhotonBudget {
 pub struct WorkReport {
     /// Wall seconds by stage.
     pub seconds: BTreeMap<String, f64>,
+    /// CPU seconds by stage.
+    #[serde(default)]
+    pub cpu_seconds: BTreeMap<String, f64>,
+    /// Cones that were computed again.
+    #[serde(default)]
+    pub audit: Vec<AuditSample>,
     /// Largest memory of the process so far, bytes.
     pub peak_memory_bytes: u64,
     /// Photon fates of the frames of a shard.
@@ -97,6 +105,10 @@ impl WorkReport {
         for (stage, seconds) in &other.seconds {
             *self.seconds.entry(stage.clone()).or_default() += seconds;
         }
+        for (stage, seconds) in &other.cpu_seconds {
+            *self.cpu_seconds.entry(stage.clone()).or_default() += seconds;
+        }
+        self.audit.extend(&other.audit);
         self.peak_memory_bytes = self.peak_memory_bytes.max(other.peak_memory_bytes);
         self.budget.add(&other.budget);
         for (event, count) in &other.diagnostics {

@@ -32,6 +32,8 @@ pub enum Purpose {
     Eye = 10,
     /// Photons of the `events` engine.
     Events = 11,
+    /// Cones that are computed again.
+    Audit = 12,
 }
 
 const MUL: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

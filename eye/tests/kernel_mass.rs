@@ -1,5 +1,5 @@
 //! Kernels that lose 0.1 % of their mass are found out: total of Poisson counts from production kernels against the mean of a reference whose
-//! accuracy target is 1e-5.
+//! settings are finer than those of any accuracy target.
 //!
 //! With N counts the total's standard deviation is √N. The test takes 5 of them (alpha 6e-7) as its limit and N >= 1.1e8, of which 0.1 % are 10.5
 //! standard deviations: the power is 1 - 2e-8. `EVENTS` as the reference would take minutes and has an error of its own of some 4e-4.
@@ -60,7 +60,7 @@ fn a_thousandth_of_the_kernels_is_missed() {
     let dropped = total(&experiment, 1.0 + 1e-3 / slope);
     assert!((dropped / whole - 0.999).abs() < 2e-5, "{}", dropped / whole);
     let mut reference = experiment.clone();
-    reference.accuracy_target = 1e-5;
+    support::finer(&mut reference);
     let mean = total(&reference, 1.0);
     let mut drawn = experiment.clone();
     drawn.counts.poisson = true;

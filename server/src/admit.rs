@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use photoneye_eye::experiment::Experiment;
-use photoneye_eye::plan::{Plan, PlanError};
+use photoneye_eye::plan::{Machine, Plan, PlanError};
 use photoneye_proto::{FieldError, v1};
 
 use crate::access::Caller;
@@ -150,7 +150,8 @@ impl Service {
         if let Some(prepared) = self.plans.get(&digest) {
             return Ok(prepared);
         }
-        let prepared = Arc::new(tokio::task::spawn_blocking(move || prepared(&experiment)).await??);
+        let speed = self.speed;
+        let prepared = Arc::new(tokio::task::spawn_blocking(move || prepared(&experiment, &speed)).await??);
         self.plans.keep(digest, &prepared);
         Ok(prepared)
     }
@@ -205,8 +206,8 @@ impl Service {
 }
 
 /// Plans an experiment; takes milliseconds.
-fn prepared(experiment: &Experiment) -> Result<Prepared, Error> {
-    let plan = photoneye_eye::plan::plan(experiment).map_err(|error| match error {
+fn prepared(experiment: &Experiment, speed: &Machine) -> Result<Prepared, Error> {
+    let plan = photoneye_eye::plan::plan_on(experiment, speed).map_err(|error| match error {
         PlanError::Range(error) => Error::from(spec::field_error(error)),
         PlanError::Model(message) => Error::new(Kind::Invalid, message),
     })?;

@@ -135,6 +135,7 @@ impl Server {
             fleet: fleet::Fleet::default(),
             metrics: metrics::Metrics::default(),
             plans: admit::Plans::default(),
+            speed: speed(&options.data_dir),
         });
         let keys = service.access.asks().await.map_err(|error| StartError::Database(file, error))?;
         if !options.listen.ip().is_loopback() && !options.insecure && !keys {
@@ -163,6 +164,19 @@ impl Server {
         tracing::info!(%address, data = %options.data_dir.display(), "serving");
         Ok(Handle { address, connector: sender, stop, serving })
     }
+}
+
+/// The file of the data folder that says how fast the machine is.
+pub const MACHINE_FILE: &str = "machine.json";
+
+/// What `photoneye calibrate` found out; without it the machine of the cost model's constants.
+fn speed(folder: &Path) -> photoneye_eye::plan::Machine {
+    let path = folder.join(MACHINE_FILE);
+    let Ok(text) = std::fs::read_to_string(&path) else { return Default::default() };
+    serde_json::from_str(&text).unwrap_or_else(|error| {
+        tracing::warn!(path = %path.display(), %error, "the calibration cannot be read");
+        Default::default()
+    })
 }
 
 /// How long a start waits for the data folder: a server that was killed holds it until the system has cleared it away.

@@ -79,6 +79,8 @@ pub struct Service {
     pub metrics: Metrics,
     /// The last plans.
     pub plans: Plans,
+    /// How fast the machine is, for predictions.
+    pub speed: photoneye_eye::plan::Machine,
 }
 
 impl Service {

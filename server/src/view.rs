@@ -16,6 +16,15 @@ pub fn plan(plan: &Plan, cached: impl Fn(&str) -> bool) -> v1::Plan {
             predicted_seconds: Some(artifact.predicted_seconds),
         }
     });
+    let there = plan.artifacts.iter().filter(|artifact| cached(&artifact.key.to_string())).count();
+    let made = (there > 0).then(|| v1::Omission {
+        what: Some("artifacts that are there already".to_owned()),
+        why: Some(format!(
+            "{there} of {} were built before, under the hash of the same inputs",
+            plan.artifacts.len()
+        )),
+        bound: Some(0.0),
+    });
     let omissions = plan.omissions.iter().map(|omission| v1::Omission {
         what: Some(omission.what.clone()),
         why: Some(omission.why.clone()),
@@ -40,7 +49,7 @@ pub fn plan(plan: &Plan, cached: impl Fn(&str) -> bool) -> v1::Plan {
         tiles: Some(plan.tile_artifacts.len() as u32),
         predicted_cones: Some(plan.predicted_cones),
         artifacts: artifacts.collect(),
-        omissions: omissions.collect(),
+        omissions: omissions.chain(made).collect(),
         predicted_seconds: Some(plan.predicted_seconds),
         predicted_bytes: Some(plan.predicted_bytes),
         error_estimate: parts.collect(),

@@ -1,5 +1,6 @@
 //! One file a command.
 
+mod calibrate;
 mod cancel;
 mod displays;
 mod doctor;
@@ -54,6 +55,7 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Results(args) => block_on(results::run(context, args)),
         Command::Cancel(args) => block_on(cancel::run(context, args)),
         Command::Render(args) => render::run(&context, &args),
+        Command::Calibrate(args) => calibrate::run(&context, &args),
         Command::Displays(args) => displays::run(&context, &args),
         Command::Retina(args) => retina::run(&context, &args),
         Command::Eyes => eyes::run(&context),

@@ -35,9 +35,9 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, build: v1::Build) -
 
     // Build it.
     let cones_known = spec.kind() == "cones";
-    let started = Instant::now();
+    let (started, cpu) = (Instant::now(), shared.cpu.begin());
     let built = blocking(move || build_artifact(&spec, &inputs)).await?;
-    let seconds = started.elapsed().as_secs_f64();
+    let (seconds, cpu_seconds) = (started.elapsed().as_secs_f64(), cpu.end());
     lease.check()?;
 
     // Hand it over; keep a copy, most artifacts are needed here next.
@@ -49,7 +49,8 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, build: v1::Build) -
             cones: built.cones,
         }),
         report: WorkReport {
-            seconds: BTreeMap::from([(stage, seconds)]),
+            seconds: BTreeMap::from([(stage.clone(), seconds)]),
+            cpu_seconds: BTreeMap::from([(stage, cpu_seconds)]),
             peak_memory_bytes: memory::peak_bytes(),
             diagnostics: built.diagnostics.into_iter().collect(),
             cones: if cones_known { built.cones_by_type } else { [0; 3] },

@@ -6,6 +6,7 @@
 
 mod build;
 mod cache;
+mod cpu;
 mod lease;
 mod memory;
 mod pictures;
@@ -88,6 +89,7 @@ pub(crate) struct Shared {
     pub remote: Remote,
     pub cache: Cache,
     pub scenes: Scenes,
+    pub cpu: Arc<cpu::Ledger>,
 }
 
 /// Takes work from a server until it is told to stop.
@@ -108,6 +110,7 @@ impl Worker {
             cache: Cache::open(&options.cache_dir, options.cache_max_bytes, remote.clone())?,
             remote,
             scenes: Scenes::default(),
+            cpu: Arc::default(),
         };
         Ok(Self { shared: Arc::new(shared), options })
     }

@@ -36,16 +36,16 @@ pub(crate) struct Scenes {
 }
 
 impl Scenes {
-    /// The scene of a shard, and the seconds that its preparation took (0 when it was there). Prepared once, however many
+    /// The scene of a shard, and the seconds and CPU seconds that its preparation took (0 when it was there). Prepared once, however many
     /// shards ask.
     pub(crate) async fn get(
         &self,
         shared: &Shared,
         lease: &Lease,
         shard: &v1::Shard,
-    ) -> Result<(Arc<Scene>, f64), WorkError> {
+    ) -> Result<(Arc<Scene>, [f64; 2]), WorkError> {
         let slot = self.slot(name(shard)).await;
-        let started = Instant::now();
+        let (started, cpu) = (Instant::now(), shared.cpu.begin());
         let mut prepared = false;
         let scene = slot
             .get_or_try_init(|| {
@@ -53,7 +53,8 @@ impl Scenes {
                 prepare(shared, lease, shard)
             })
             .await?;
-        let seconds = if prepared { started.elapsed().as_secs_f64() } else { 0.0 };
+        let cpu = cpu.end();
+        let seconds = if prepared { [started.elapsed().as_secs_f64(), cpu] } else { [0.0; 2] };
         Ok((Arc::clone(scene), seconds))
     }
 

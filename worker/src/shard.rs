@@ -5,13 +5,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use photoneye_eye::exposure::{Frame, FrameCounts};
+use photoneye_eye::exposure::{AuditSample, Frame, FrameCounts};
 use photoneye_eye::report::WorkReport;
 use photoneye_eye::video::Picture;
 use photoneye_proto::v1;
 use photoneye_store::photons::{Photons, photons_stream};
 use photoneye_store::table::{Counts, counts_stream};
 
+use crate::cpu::Stage;
 use crate::lease::{Done, Lease};
 use crate::pictures::Pictures;
 use crate::scene::{Scene, model_error};
@@ -34,9 +35,10 @@ struct Summary {
 
 pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -> Result<Done, WorkError> {
     lease.progress(0.0, "prepare");
-    let (scene, prepare_seconds) = shared.scenes.get(shared, lease, &shard).await?;
+    let (scene, [prepare_seconds, prepare_cpu]) = shared.scenes.get(shared, lease, &shard).await?;
     let mut report = WorkReport {
         seconds: BTreeMap::from([("prepare".to_owned(), prepare_seconds)]),
+        cpu_seconds: BTreeMap::from([("prepare".to_owned(), prepare_cpu)]),
         ..WorkReport::default()
     };
     let mut pictures = Pictures::default();
@@ -49,10 +51,19 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
 
         // Count the frame.
         let shown = pictures.of_frame(shared, &scene, index).await?;
-        let started = Instant::now();
-        let (tile, first_cone, scene) = (shard.tile(), shard.first_cone(), Arc::clone(&scene));
-        let chunk = blocking(move || count(&scene, index, &shown, tile, first_cone)).await?;
-        *report.seconds.entry("count".to_owned()).or_default() += started.elapsed().as_secs_f64();
+        let (started, cpu) = (Instant::now(), shared.cpu.begin());
+        let (tile, first_cone, counted) = (shard.tile(), shard.first_cone(), Arc::clone(&scene));
+        let pictures_shown = shown.clone();
+        let chunk = blocking(move || count(&counted, index, &pictures_shown, tile, first_cone)).await?;
+        stage(&mut report, "count", started, cpu);
+
+        // Compute a few cones again, when this frame is among those that are audited.
+        if scene.exposure.is_audited(index) {
+            let (started, cpu) = (Instant::now(), shared.cpu.begin());
+            let (audited, frame) = (Arc::clone(&scene), chunk.frame.clone());
+            report.audit.extend(blocking(move || audit(&audited, index, &shown, &frame)).await?);
+            stage(&mut report, "audit", started, cpu);
+        }
 
         // Hand the chunk over.
         let digest = shared.remote.put(Bytes::from(chunk.bytes)).await?;
@@ -67,6 +78,24 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
     }
     report.peak_memory_bytes = memory::peak_bytes();
     Ok(Done { done: v1::commit_request::Done::Shard(v1::ShardResult { chunks }), report })
+}
+
+/// Adds what a stage took.
+fn stage(report: &mut WorkReport, name: &str, started: Instant, cpu: Stage) {
+    *report.seconds.entry(name.to_owned()).or_default() += started.elapsed().as_secs_f64();
+    *report.cpu_seconds.entry(name.to_owned()).or_default() += cpu.end();
+}
+
+/// Runs on a blocking thread: the audit of one frame.
+fn audit(
+    scene: &Scene,
+    index: u32,
+    shown: &[Arc<Picture>],
+    frame: &Frame,
+) -> Result<Vec<AuditSample>, WorkError> {
+    let pictures: Vec<&Picture> = shown.iter().map(AsRef::as_ref).collect();
+    let earlier = pictures.get(1..).unwrap_or_default();
+    scene.exposure.audit(index, pictures.first().copied(), earlier, frame).map_err(model_error)
 }
 
 /// Runs on a blocking thread: counts one frame and encodes it.

@@ -133,7 +133,7 @@ impl ConeTable {
                     um,
                     ecc_deg: tangent.length().atan().to_degrees(),
                     cone_type: retina.cone_type[i],
-                    pointing: pointing.factor(f64::from(px).hypot(f64::from(py))),
+                    pointing: pointing.as_ref().map_or(1.0, |p| p.factor(f64::from(px).hypot(f64::from(py)))),
                     geometry: slant_factor(law, projection, tangent),
                 }
             })

@@ -26,30 +26,10 @@ use super::source::{Source, pixel_transform};
 use super::spectral::KINDS;
 use super::spread::Spread;
 use crate::display::Emitter;
+use crate::plan::Numerics;
 
 /// Index of the kind that counts arriving photons.
 pub const ARRIVING: usize = KINDS.len() - 1;
-
-/// Numerical settings.
-#[derive(Clone, Copy, Debug)]
-pub struct Settings {
-    /// Width of the spreading kernel, samples.
-    pub spread_width: usize,
-    /// Transform images in single precision (relative error about 1e-6 of the brightest).
-    pub single: bool,
-}
-
-impl Settings {
-    /// Settings for an accuracy target.
-    pub fn for_target(target: f64) -> Self {
-        let spread_width = match target {
-            t if t >= 5e-4 => 6,
-            t if t >= 5e-5 => 8,
-            _ => 10,
-        };
-        Self { spread_width, single: target >= 5e-4 }
-    }
-}
 
 /// Means of one frame.
 #[derive(Clone, Debug)]
@@ -99,13 +79,14 @@ struct OwnImages {
 
 impl Expected {
     /// Prepares a scene's cones and kernels.
-    pub fn new(inputs: &Inputs, cones: &ConeTable, settings: Settings) -> Self {
+    pub fn new(inputs: &Inputs, cones: &ConeTable, settings: &Numerics) -> Self {
         let Inputs { kernels, projector, .. } = inputs;
         let scene = inputs.scene.clone();
         let spread = Spread::new(settings.spread_width, 1.6);
         let band = Band::new(scene.period_px, scene.samples, scene.band * scene.tangent_per_px);
         let pixels = pixel_transforms(&scene, &spread, &band, &projector.emitters);
-        let mut images = basis_images(&scene, kernels, &band, cones);
+        let seeing = seeing(kernels, cones, settings.blind_below);
+        let mut images = basis_images(&scene, kernels, &band, seeing);
         let arriving = images.split_off(images.iter().take_while(|image| image.kind != ARRIVING).count());
         let stencils = Stencils::new(&scene, &spread, cones);
         let received: Vec<Vec<f64>> = (cones.cones.par_iter())
@@ -239,8 +220,29 @@ fn pixel_transforms(
     emitters.iter().map(transform).collect()
 }
 
-/// Every basis kernel on the kept frequencies; kinds without cones are left out.
-fn basis_images(scene: &Scene, kernels: &Kernels, band: &Band, cones: &ConeTable) -> Vec<BasisImage> {
+/// Which kinds are computed: those that there are cones of and that catch more than `blind_below` of what the best one does.
+fn seeing(kernels: &Kernels, cones: &ConeTable, blind_below: f64) -> [bool; KINDS.len()] {
+    let catches: [f64; ARRIVING] = std::array::from_fn(|kind| {
+        let Some(cone) = cones.cones.iter().find(|c| c.cone_type as usize == kind) else { return 0.0 };
+        let own = kernels.coefficients(kind, cone.um, cone.ecc_deg);
+        let primaries = 0..kernels.spec().primaries.len();
+        let of =
+            |p: usize| own.iter().enumerate().map(|(r, c)| c * kernels.table(kind, r, p)[0].re).sum::<f64>();
+        primaries.map(of).fold(0.0, f64::max)
+    });
+    let best = catches.into_iter().fold(0.0, f64::max);
+    std::array::from_fn(|kind| {
+        kind == ARRIVING || (catches[kind] > 0.0 && catches[kind] >= blind_below * best)
+    })
+}
+
+/// Every basis kernel of the seeing kinds on the kept frequencies.
+fn basis_images(
+    scene: &Scene,
+    kernels: &Kernels,
+    band: &Band,
+    seeing: [bool; KINDS.len()],
+) -> Vec<BasisImage> {
     let shape = kernels.shape();
     let [px, py] = scene.period_px.map(|p| p as f64);
     let stencils: Vec<_> = band
@@ -251,9 +253,8 @@ fn basis_images(scene: &Scene, kernels: &Kernels, band: &Band, cones: &ConeTable
             shape.stencil(cycles)
         })
         .collect();
-    let present = |kind: usize| kind == ARRIVING || cones.cones.iter().any(|c| c.cone_type as usize == kind);
     let jobs: Vec<(usize, usize)> = (0..KINDS.len())
-        .filter(|&kind| present(kind))
+        .filter(|&kind| seeing[kind])
         .flat_map(|kind| (0..kernels.rank(kind)).map(move |r| (kind, r)))
         .collect();
     jobs.par_iter()

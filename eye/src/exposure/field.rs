@@ -48,7 +48,7 @@ impl<'a> Field<'a> {
 /// the field is too large.
 pub fn table_for(kernels: &[&KernelSpec], projection: &Projection, reach_deg: f64) -> Option<FieldTableSpec> {
     let first = kernels.first()?;
-    let (half_deg, nodes) = FieldTableSpec::field(reach_deg)?;
+    let (half_deg, nodes) = FieldTableSpec::field(reach_deg, first.state.pupil_mm)?;
     let spec = FieldTableSpec {
         prescription: first.prescription.clone(),
         state: first.state,

@@ -8,8 +8,12 @@ use crate::cone::directional::Pointing;
 use crate::display::{emitters, pupil_share};
 use crate::experiment::Experiment;
 use crate::optics::{Prescription, Projection};
+use crate::plan::Rule;
 use crate::plan::setup::{Setup, setup};
 use crate::retina::{RegionUm, Retina};
+
+/// Share of the accuracy target below which pointing errors are left out.
+pub const POINTING_SHARE: f64 = 0.01;
 
 /// The inputs of an engine.
 pub struct Inputs {
@@ -23,8 +27,10 @@ pub struct Inputs {
     pub scene: Scene,
     /// Whether this is the first result tile: it accounts for the light of the whole screen.
     pub first_tile: bool,
-    /// Pointing factors of cones.
-    pub pointing: Pointing,
+    /// Number of the result tile, of how many.
+    pub tile: [u32; 2],
+    /// Pointing factors of cones; none where they are left out.
+    pub pointing: Option<Pointing>,
     /// Light and movement.
     pub projector: Projector,
 }
@@ -48,20 +54,50 @@ impl Inputs {
         let [min, max] = kernels.spec().field_um;
         let tile = RegionUm { min, max };
         let scene = setup.scene(experiment, &tile).map_err(|e| model(e.to_string()))?;
-        let first_tile = setup.tiles.first() == Some(&tile);
+        let number = setup.tiles.iter().position(|one| *one == tile).unwrap_or(0);
+        let (first_tile, tiles) = (setup.tiles.first() == Some(&tile), [number, setup.tiles.len()]);
         let Setup { prescription, projection, gaze, .. } = setup;
         let eye = &experiment.eye;
         let per_radian = mm_per_radian(&projection, &prescription);
         let pointing = Pointing::new(eye.stiles_crawford_rho10_per_mm2, eye.pupil_mm, per_radian);
+        let pointing = (!small_pointing(experiment, &pointing)).then_some(pointing);
         let display = experiment.display.clone();
         let projector = Projector {
             emitters: emitters(&display).map_err(model)?,
             pupil_share: pupil_share(&display, eye.pupil_mm),
+            timeless: gaze.is_still() && Rule::StillEye.applies(experiment),
             gaze,
             display,
         };
-        Ok(Self { retina, kernels, projection, scene, first_tile, pointing, projector })
+        Ok(Self {
+            retina,
+            kernels,
+            projection,
+            scene,
+            first_tile,
+            tile: tiles.map(|n| n as u32),
+            pointing,
+            projector,
+        })
     }
+}
+
+/// Largest effect of pointing errors on a mean: that of a cone three standard deviations off.
+pub fn pointing_effect(experiment: &Experiment, pointing: &Pointing) -> f64 {
+    1.0 - pointing.factor(3.0 * experiment.eye.pointing_sd_deg.to_radians())
+}
+
+/// Whether pointing errors change less than a hundredth of the target.
+fn small_pointing(experiment: &Experiment, pointing: &Pointing) -> bool {
+    Rule::Pointing.applies(experiment)
+        && pointing_effect(experiment, pointing) < POINTING_SHARE * experiment.accuracy_target
+}
+
+/// The factor of an experiment's cones.
+pub fn pointing_of(experiment: &Experiment, setup: &Setup) -> Pointing {
+    let eye = &experiment.eye;
+    let per_radian = mm_per_radian(&setup.projection, &setup.prescription);
+    Pointing::new(eye.stiles_crawford_rho10_per_mm2, eye.pupil_mm, per_radian)
 }
 
 /// Distance in the entrance pupil per angle at the cone, mm/rad: the posterior focal length n'/P, paraxially.

@@ -34,6 +34,8 @@ const APERTURE_UM: f64 = 2.0;
 const UM_PER_TANGENT: f64 = 16_440.0;
 /// Tolerance of the basis for arriving photons over that for counts.
 const ARRIVING_TOLERANCE: f64 = 10.0;
+/// Interpolation error of the tables over that of the basis: the means feel it less.
+pub const TABLE_TOLERANCE: f64 = 4.0;
 /// Weight of the mean light against all other frequencies in the basis.
 const MEAN_WEIGHT: f64 = 10.0;
 
@@ -241,7 +243,7 @@ impl KernelSpec {
             let [blur, shift] = extent(point, wavefront).map(|e| e * self.band * caught.powf(1.0 / 6.0));
             cycles = [cycles[0].max(blur), cycles[1].max(shift)];
         }
-        Ok(PolarShape::for_cycles(self.band, cycles, self.tolerance))
+        Ok(PolarShape::for_cycles(self.band, cycles, TABLE_TOLERANCE * self.tolerance))
     }
 
     /// `[kind][place][primary·sample]`.

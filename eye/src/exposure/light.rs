@@ -55,7 +55,7 @@ pub struct Segment {
 }
 
 /// A layer of light of one primary.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Course {
     /// What it shows.
     pub shows: Shows,

@@ -4,6 +4,7 @@
 //! is the slow reference.
 
 mod arriving;
+pub mod audit;
 mod budget;
 mod codec;
 mod cones;
@@ -14,7 +15,7 @@ mod expected;
 pub(crate) mod field;
 mod gather;
 mod grid;
-mod inputs;
+pub(crate) mod inputs;
 mod kernel;
 mod light;
 mod lowrank;
@@ -31,21 +32,27 @@ pub mod stray;
 mod tail;
 pub(crate) mod transfer;
 
+use std::sync::{Mutex, PoisonError};
+
 use glam::DVec2;
 use rayon::prelude::*;
 
+pub use audit::AuditSample;
 pub use cones::{ConeColumns, cone_columns};
-pub use kernel::{KernelSpec, Kernels};
+pub use kernel::{KernelSpec, Kernels, TABLE_TOLERANCE};
 pub use polar::PolarShape;
 pub use scan::SCAN_BLUR;
 
 use crate::experiment::{Engine, Experiment, Video};
+use crate::optics::Projection;
+use crate::plan::{Numerics, Rule};
 use crate::report::PhotonBudget;
+use crate::retina::Retina;
 use crate::video::{Picture, draw};
 use budget::Ledger;
 use cones::ConeTable;
 use events::Events;
-use expected::{Expected, Means, Settings};
+use expected::{Expected, Means};
 use inputs::Inputs;
 use light::{Shown, history};
 use paper::Paper;
@@ -110,12 +117,17 @@ pub struct Exposure {
     projector: Projector,
     scene: scene::Scene,
     cones: ConeTable,
-    ids: Vec<u64>,
+    retina: Retina,
+    projection: Projection,
+    /// Number of the result tile, of how many.
+    tile: [u32; 2],
     ledger: Ledger,
     counter: Counter,
     tail: Option<tail::Tail>,
     veil: Option<stray::Veil>,
     pattern: Option<Picture>,
+    /// Light and means of the frame before.
+    last: Mutex<Option<(Source, Means)>>,
 }
 
 impl Exposure {
@@ -131,8 +143,8 @@ impl Exposure {
         let ledger = Ledger::new(&inputs, experiment.gaze.center_px).map_err(model)?;
         let counter = match experiment.counts.engine {
             Engine::Expected => {
-                let settings = Settings::for_target(experiment.accuracy_target);
-                Counter::Expected(Box::new(Expected::new(&inputs, &cones, settings)))
+                let numerics = Numerics::new(experiment);
+                Counter::Expected(Box::new(Expected::new(&inputs, &cones, &numerics)))
             }
             Engine::Events => {
                 Counter::Events(Box::new(Events::new(experiment, &inputs, &cones).map_err(model)?))
@@ -142,7 +154,7 @@ impl Exposure {
         let veil = experiment.eye.stray_light.map(|light| stray::Veil::new(&inputs, &cones, light));
         let tail =
             matches!(counter, Counter::Expected(_)).then(|| tail::Tail::new(&inputs, &cones)).flatten();
-        let Inputs { retina, projector, scene, .. } = inputs;
+        let Inputs { retina, projection, projector, scene, tile, .. } = inputs;
         let pattern = match &experiment.video {
             Video::Pattern(pattern) => Some(draw(pattern, &projector.display, &experiment.gaze)),
             Video::Clip(_) => None,
@@ -152,28 +164,31 @@ impl Exposure {
             projector,
             scene,
             cones,
-            ids: retina.cones.id,
+            retina,
+            projection,
+            tile,
             ledger,
             counter,
             tail,
             veil,
             pattern,
+            last: Mutex::new(None),
         })
     }
 
     /// Number of cones.
     pub fn len(&self) -> usize {
-        self.ids.len()
+        self.retina.len()
     }
 
     /// Whether the patch has no cones.
     pub fn is_empty(&self) -> bool {
-        self.ids.is_empty()
+        self.retina.is_empty()
     }
 
     /// Stable number of each cone.
     pub fn cone_ids(&self) -> &[u64] {
-        &self.ids
+        &self.retina.id
     }
 
     /// Type of each cone: 0 L, 1 M, 2 S.
@@ -205,27 +220,11 @@ impl Exposure {
         picture: Option<&Picture>,
         earlier: &[&Picture],
     ) -> Result<Frame, ExposureError> {
-        let picture = picture
-            .or(self.pattern.as_ref())
-            .ok_or_else(|| ExposureError::Model(format!("video: frame {index} has no picture")))?;
-        let shown = Shown::new(index, picture, earlier);
-        let display = &self.projector.display;
-        for picture in &shown.pictures {
-            if (picture.width, picture.height) != (display.width_px, display.height_px) {
-                let (width, height) = (display.width_px, display.height_px);
-                return Err(ExposureError::PictureSize(picture.width, picture.height, width, height));
-            }
-        }
+        let shown = self.shown(index, picture, earlier)?;
         match &self.counter {
             Counter::Expected(expected) => {
                 let source = self.projector.frame(&shown, &self.scene);
-                let mut means = expected.frame(&source);
-                if let Some(tail) = &self.tail {
-                    tail.correct(&mut means, (&shown, &source), &self.projector);
-                }
-                if let Some(veil) = &self.veil {
-                    veil.add(&mut means, &shown, &self.projector);
-                }
+                let means = self.means(expected, &shown, &source);
                 Ok(self.expected_frame((&shown, Some(&source)), &means))
             }
             Counter::Events(events) => {
@@ -242,6 +241,94 @@ impl Exposure {
         }
     }
 
+    /// What is shown, every picture of the display's size.
+    fn shown<'a>(
+        &'a self,
+        index: u32,
+        picture: Option<&'a Picture>,
+        earlier: &[&'a Picture],
+    ) -> Result<Shown<'a>, ExposureError> {
+        let picture = picture
+            .or(self.pattern.as_ref())
+            .ok_or_else(|| ExposureError::Model(format!("video: frame {index} has no picture")))?;
+        let shown = Shown::new(index, picture, earlier);
+        let (width, height) = (self.projector.display.width_px, self.projector.display.height_px);
+        match shown.pictures.iter().find(|p| (p.width, p.height) != (width, height)) {
+            Some(wrong) => Err(ExposureError::PictureSize(wrong.width, wrong.height, width, height)),
+            None => Ok(shown),
+        }
+    }
+
+    /// Means of a frame; none are computed for a dark window, nor twice for a window that shows the same as the last time.
+    fn means(&self, expected: &Expected, shown: &Shown, source: &Source) -> Means {
+        let mut means = self.image(expected, source);
+        if let Some(tail) = &self.tail {
+            tail.correct(&mut means, (shown, source), &self.projector);
+        }
+        if let Some(veil) = &self.veil {
+            veil.add(&mut means, shown, &self.projector);
+        }
+        means
+    }
+
+    fn image(&self, expected: &Expected, source: &Source) -> Means {
+        if Rule::DarkTiles.applies(&self.experiment) && source.is_dark() {
+            return Means { isomerized: vec![0.0; self.len()], arrived: 0.0, guided: 0.0, clamped: 0 };
+        }
+        if !Rule::RepeatedFrames.applies(&self.experiment) {
+            return expected.frame(source);
+        }
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((shown, means)) = &*last
+            && shown == source
+        {
+            return means.clone();
+        }
+        let means = expected.frame(source);
+        *last = (self.experiment.frames > 1 || self.experiment.audit_cones > 0)
+            .then(|| (source.clone(), means.clone()));
+        means
+    }
+
+    /// Whether cones of a frame are to be computed again.
+    pub fn is_audited(&self, index: u32) -> bool {
+        !self.is_empty() && !audit::samples(&self.experiment, self.tile, index).is_empty()
+    }
+
+    /// Computes the cones of a frame's audit again; `frame` is what [`Exposure::frame_after`] gave. Most frames have none.
+    ///
+    /// # Errors
+    /// When the picture is missing or a cone cannot be traced.
+    pub fn audit(
+        &self,
+        index: u32,
+        picture: Option<&Picture>,
+        earlier: &[&Picture],
+        frame: &Frame,
+    ) -> Result<Vec<AuditSample>, ExposureError> {
+        if !self.is_audited(index) {
+            return Ok(Vec::new());
+        }
+        let audited = audit::Audited {
+            experiment: &self.experiment,
+            projection: &self.projection,
+            projector: &self.projector,
+            retina: &self.retina,
+            table: &self.cones,
+            tile: self.tile,
+        };
+        let shown = self.shown(index, picture, earlier)?;
+        let values = match (&self.counter, &frame.counts) {
+            // Means, not the numbers drawn from them.
+            (Counter::Expected(expected), _) => {
+                self.means(expected, &shown, &self.projector.frame(&shown, &self.scene)).isomerized
+            }
+            (_, FrameCounts::Counts(counts)) => counts.iter().map(|c| f64::from(*c) - self.dark()).collect(),
+            (_, FrameCounts::Means(means)) => means.iter().map(|m| f64::from(*m) - self.dark()).collect(),
+        };
+        audited.run(&shown, &values).map_err(ExposureError::Model)
+    }
+
     /// Isomerizations of a cone without light in a frame, mean.
     fn dark(&self) -> f64 {
         self.experiment.retina.dark_isomerizations_per_s / self.projector.display.frame_rate_hz
@@ -252,10 +339,10 @@ impl Exposure {
         let dark = self.dark();
         if dark > 0.0 {
             let seed = self.experiment.counts.seed;
-            for (count, id) in counts.iter_mut().zip(&self.ids) {
+            for (count, id) in counts.iter_mut().zip(&self.retina.id) {
                 *count = count.saturating_add(poisson::draw(seed, index, *id, dark));
             }
-            budget.dark = dark * self.ids.len() as f64;
+            budget.dark = dark * self.retina.len() as f64;
         }
         Frame { counts: FrameCounts::Counts(counts), budget, diagnostics: Vec::new(), photons: None }
     }
@@ -263,12 +350,12 @@ impl Exposure {
     fn expected_frame(&self, (shown, source): (&Shown, Option<&Source>), means: &Means) -> Frame {
         let mut budget = self.ledger.budget(&self.projector, (shown, source), &self.cones, means);
         let dark = self.dark();
-        budget.dark = dark * self.ids.len() as f64;
+        budget.dark = dark * self.retina.len() as f64;
         let counts = if self.experiment.counts.poisson {
             let seed = self.experiment.counts.seed;
             let draw = |(mean, id): (&f64, &u64)| poisson::draw(seed, shown.index, *id, *mean + dark);
             FrameCounts::Counts(
-                means.isomerized.par_iter().zip(&self.ids).with_min_len(1024).map(draw).collect(),
+                means.isomerized.par_iter().zip(&self.retina.id).with_min_len(1024).map(draw).collect(),
             )
         } else {
             FrameCounts::Means(means.isomerized.iter().map(|m| (*m + dark) as f32).collect())

@@ -26,6 +26,8 @@ pub struct Scene {
     pub band: f64,
     /// Unit tangents (screen distance over viewing distance) in a pixel pitch.
     pub tangent_per_px: f64,
+    /// Rectangle of the window that the cones see at rest, pixels from its corner: minimum and maximum.
+    pub cones_px: [DVec2; 2],
     /// Point of the display on the foveal centre at rest, pixels.
     centre_px: DVec2,
 }
@@ -79,6 +81,7 @@ impl Scene {
             samples,
             band: needs.band,
             tangent_per_px,
+            cones_px: [cones_min, cones_max].map(|p| needs.centre_px + p - from),
             centre_px: needs.centre_px,
         })
     }
@@ -87,7 +90,16 @@ impl Scene {
     #[cfg(test)]
     pub fn for_test(period_px: [usize; 2], samples: [usize; 2]) -> Self {
         let (first_px, size_px) = ([0; 2], [1; 2]);
-        Self { first_px, size_px, period_px, samples, band: 1.0, tangent_per_px: 1.0, centre_px: DVec2::ZERO }
+        Self {
+            first_px,
+            size_px,
+            period_px,
+            samples,
+            band: 1.0,
+            tangent_per_px: 1.0,
+            cones_px: [DVec2::ZERO; 2],
+            centre_px: DVec2::ZERO,
+        }
     }
 
     /// Pixels from the window's corner, of a point of the screen in unit tangents (y up).

@@ -9,14 +9,14 @@ use crate::display::{Display, Emitter};
 use crate::movement::Gaze;
 
 /// One primary in one frame: layers of light.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SourcePrimary {
     /// The layers.
     pub layers: Vec<Layer>,
 }
 
 /// Light with a common course in time.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
     /// Mean photons into the pupil from each pixel of the window (as if all were at the gaze centre), `[row][column]`.
     pub light: Vec<f64>,
@@ -27,7 +27,7 @@ pub struct Layer {
 }
 
 /// One frame.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Source {
     /// The primaries.
     pub primaries: Vec<SourcePrimary>,
@@ -46,6 +46,8 @@ pub struct Projector {
     pub pupil_share: f64,
     /// Eye movement.
     pub gaze: Gaze,
+    /// Whether the course of light inside a frame is left out: the eye does not move.
+    pub timeless: bool,
 }
 
 impl Projector {
@@ -55,7 +57,7 @@ impl Projector {
 
     /// The light of a frame.
     pub fn frame(&self, shown: &Shown, scene: &Scene) -> Source {
-        self.layers(shown, scene, self.gaze.is_still())
+        self.layers(shown, scene, self.timeless)
     }
 
     /// The light of a frame, each course in a layer of its own even when the eye rests.
@@ -91,6 +93,13 @@ impl Projector {
             primaries: self.emitters.iter().map(primary).collect(),
             covers_display: self.is_whole(scene),
         }
+    }
+}
+
+impl Source {
+    /// Whether the window has no light.
+    pub fn is_dark(&self) -> bool {
+        self.primaries.iter().flat_map(|p| &p.layers).all(|layer| !layer.is_lit())
     }
 }
 

@@ -3,16 +3,16 @@
 //! A cone's mean holds a picture's frequency ν times pixel(ν) · optics(ν) · aperture(ν). With a picture of equal strength at all
 //! frequencies (random pixels) what is lost above B, relative to what there is, is at most
 //! `E(B)² = ∫_B |pixel·optics·aperture|² ν dν / ∫_0 (the same)`. The optics are the largest modulus of transfer over a few wavelengths
-//! and directions at the middle of the patch, traced; the aperture is that of the densest cones of the patch, a pixel is a square as
-//! wide as its smallest rectangle.
+//! and directions, traced at the middle of a small patch, of a large one at 3 x 3 points with linear interpolation between; the aperture is
+//! that of the densest cones of the patch, a pixel is a square as wide as its smallest rectangle.
 
 use std::f64::consts::{FRAC_PI_4, PI};
 
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::PlanError;
 use super::setup::{Setup, UM_PER_TANGENT, cutoff};
+use super::{Numerics, PlanError, Rule};
 use crate::display::photon_shares;
 use crate::experiment::Experiment;
 use crate::exposure::transfer::{FieldPoint, wavefronts};
@@ -24,17 +24,73 @@ const QUANTILES: [f64; 3] = [0.3, 0.55, 0.8];
 /// Directions over half a turn.
 const DIRECTIONS: u32 = 3;
 /// Frequencies at which the transfer is computed, and steps of the integral.
-const POINTS: usize = 40;
+const POINTS: usize = 24;
 const STEPS: u32 = 400;
 
-/// E(B) per accuracy target.
-const LOSS: f64 = 0.4;
+/// Parts of half a large patch at which the transfer is traced, along either axis.
+const PLACES: [f64; 3] = [-0.95, 0.0, 0.95];
+
+/// The transfer over the patch.
+#[derive(Clone, Debug)]
+pub struct Moduli {
+    /// Places along x and y, µm.
+    axes: [Vec<f64>; 2],
+    /// `[y][x]`: largest modulus at equal steps of frequency from 0 to the cutoff.
+    curves: Vec<Vec<f64>>,
+}
+
+impl Moduli {
+    /// Traces the transfer.
+    fn new(experiment: &Experiment, setup: &Setup) -> Result<Self, String> {
+        let (middle, half) =
+            (0.5 * (setup.region.min + setup.region.max), 0.5 * (setup.region.max - setup.region.min));
+        let places = |axis: usize| -> Vec<f64> {
+            let parts = if setup.tiles.len() > 1 { &PLACES[..] } else { &PLACES[1..2] };
+            parts.iter().map(|p| middle[axis] + p * half[axis]).collect()
+        };
+        let axes = [places(0), places(1)];
+        let at: Vec<DVec2> =
+            axes[1].iter().flat_map(|y| axes[0].iter().map(move |x| DVec2::new(*x, *y))).collect();
+        let curves =
+            at.par_iter().map(|um| modulus(experiment, setup, *um)).collect::<Result<Vec<_>, _>>()?;
+        Ok(Self { axes, curves })
+    }
+
+    /// The curve at a place.
+    fn at(&self, um: DVec2) -> Vec<f64> {
+        let [x, y] = [0, 1].map(|axis| weights(&self.axes[axis], um[axis]));
+        let mut sum = vec![0.0; POINTS];
+        for (row, wy) in y.iter().enumerate() {
+            for (column, wx) in x.iter().enumerate() {
+                let curve = &self.curves[row * x.len() + column];
+                sum.iter_mut().zip(curve).for_each(|(s, c)| *s += wx * wy * c);
+            }
+        }
+        sum
+    }
+}
+
+/// Weights of linear interpolation; the end's value beyond the ends.
+fn weights(axis: &[f64], at: f64) -> Vec<f64> {
+    let mut weights = vec![0.0; axis.len()];
+    let above = axis.partition_point(|node| *node < at).clamp(1, axis.len().max(2) - 1);
+    if axis.len() < 2 {
+        return vec![1.0];
+    }
+    let t = ((at - axis[above - 1]) / (axis[above] - axis[above - 1])).clamp(0.0, 1.0);
+    (weights[above - 1], weights[above]) = (1.0 - t, t);
+    weights
+}
 
 /// Highest frequency kept for a patch, cycles per unit tangent: the eye's own, or where E(B) is small against the accuracy target.
 ///
 /// # Errors
-/// When the middle of the patch sees no screen or cannot be traced.
+/// When a part of the patch sees no screen or cannot be traced.
 pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> Result<f64, PlanError> {
+    let most = cutoff(experiment);
+    if !Rule::CoarseGrids.applies(experiment) {
+        return Ok(most);
+    }
     let density = Density::new(&setup.retina);
     let nearest = DVec2::ZERO.clamp(region.min, region.max);
     // Not nearer than half a degree: of the foveal peak only few cones are made.
@@ -44,8 +100,10 @@ pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> Result
     let pixel = display.primaries.iter().flat_map(|p| &p.rects).map(side).fold(1.0, f64::min);
     let pixel = pixel * display.pixel_pitch_cm / display.distance_cm;
     let aperture = (aperture_um2 / FRAC_PI_4).sqrt() / UM_PER_TANGENT;
-    let most = cutoff(experiment);
-    let modulus = modulus(experiment, setup, region, most).map_err(PlanError::Model)?;
+    let moduli = setup.moduli.get_or_init(|| Moduli::new(experiment, setup));
+    let modulus =
+        moduli.as_ref().map_err(|e| PlanError::Model(e.clone()))?.at(0.5 * (region.min + region.max));
+    let loss = Numerics::new(experiment).band_loss;
     let part = |i: u32| {
         let x = (f64::from(i) + 0.5) / f64::from(STEPS);
         let nu = most * x;
@@ -59,7 +117,7 @@ pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> Result
     let mut kept = STEPS;
     while kept > 1 {
         lost += parts[kept as usize - 1];
-        if lost > (LOSS * experiment.accuracy_target).powi(2) * total {
+        if lost > loss.powi(2) * total {
             break;
         }
         kept -= 1;
@@ -67,12 +125,12 @@ pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> Result
     Ok(most * f64::from(kept) / f64::from(STEPS))
 }
 
-/// Largest modulus of transfer at equal steps from 0 to `most`.
-fn modulus(experiment: &Experiment, setup: &Setup, region: &RegionUm, most: f64) -> Result<Vec<f64>, String> {
-    let point = FieldPoint::new(&setup.projection, 0.5 * (region.min + region.max))?;
+/// Largest modulus of transfer at equal steps from 0 to the cutoff.
+fn modulus(experiment: &Experiment, setup: &Setup, um: DVec2) -> Result<Vec<f64>, String> {
+    let point = FieldPoint::new(&setup.projection, um)?;
     let rho = experiment.eye.stiles_crawford_rho10_per_mm2;
     let waves = wavefronts(&setup.projection, &point, &bright_nm(experiment), rho)?;
-    let step = most / (POINTS - 1) as f64;
+    let step = cutoff(experiment) / (POINTS - 1) as f64;
     let jobs: Vec<(usize, u32)> =
         (0..waves.len()).flat_map(|wave| (0..DIRECTIONS).map(move |d| (wave, d))).collect();
     let curves: Vec<Vec<f64>> = jobs

@@ -1,100 +1,223 @@
-//! Predicted cost: CPU seconds and bytes from the counts that drive them. Constants were measured on one core of a 2026 server.
+//! Predicted cost: CPU seconds by stage and bytes, from the counts that drive them, times a machine's own factors.
+//!
+//! The constants here and in [`super::engine`] were measured on one core of a 2026 server; [`Machine`] holds a machine against it. The
+//! choice of an engine takes the constants alone, so that whoever runs an experiment again gets the same counts.
+
+use serde::{Deserialize, Serialize};
 
 use super::PlannedTile;
 use super::engine::IMAGES;
 use super::setup::Setup;
 use crate::experiment::Experiment;
-use crate::exposure::{KernelSpec, PolarShape};
-use crate::retina::Density;
+use crate::exposure::spectral::KINDS;
+use crate::exposure::{KernelSpec, PolarShape, TABLE_TOLERANCE};
+use crate::retina::{Density, RegionUm, tiles_for};
 
-/// CPU seconds per cone built, mosaic and cells.
-const SECONDS_PER_CONE: f64 = 11e-6;
+/// CPU seconds per cone of a mosaic tile, with its halo and cells.
+const SECONDS_PER_CONE: f64 = 16e-6;
 /// CPU seconds per transfer table (field node x wavelength) at 3 mm.
 const SECONDS_PER_TRANSFER: f64 = 2.5e-3;
 /// CPU seconds and bytes per wavefront of a table at 3 mm.
 pub const SECONDS_PER_WAVEFRONT: f64 = 0.2e-3;
 pub const BYTES_PER_WAVEFRONT: f64 = 1_500.0;
+/// CPU seconds per wavefront that is traced for an audit, and per point spread of it at 3 mm.
+const SECONDS_PER_TRACE: f64 = 2.0e-3;
+/// Bytes of a cone in a tile.
+const BYTES_PER_CONE: f64 = 140.0;
+/// Bytes of a worker that has done something.
+const BASE_BYTES: f64 = 90e6;
+const SECONDS_PER_AUDITED_SPREAD: f64 = 8e-3;
+
+/// How slow a machine is against the one of the constants, by stage: factors on predicted seconds, 1 on that machine.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Machine {
+    /// The mosaic.
+    pub mosaic: f64,
+    /// Optical kernels.
+    pub optics: f64,
+    /// Making a scene ready.
+    pub prepare: f64,
+    /// Frames.
+    pub frames: f64,
+    /// Cones computed again.
+    pub audit: f64,
+}
+
+impl Default for Machine {
+    fn default() -> Self {
+        Self { mosaic: 1.0, optics: 1.0, prepare: 1.0, frames: 1.0, audit: 1.0 }
+    }
+}
+
+impl Machine {
+    /// The factors from what stages were predicted to take (without factors) and what they took; a stage without time keeps 1.
+    #[must_use]
+    pub fn measured(predicted: &Stages, taken: &Stages) -> Self {
+        let factor = |of: fn(&Stages) -> f64| {
+            let ratio = of(taken) / of(predicted);
+            if ratio.is_finite() && ratio > 0.0 { ratio.clamp(0.01, 100.0) } else { 1.0 }
+        };
+        Self {
+            mosaic: factor(|s| s.mosaic),
+            optics: factor(|s| s.optics),
+            prepare: factor(|s| s.prepare),
+            frames: factor(|s| s.frames),
+            audit: factor(|s| s.audit),
+        }
+    }
+}
+
+/// CPU seconds by stage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Stages {
+    /// The mosaic.
+    pub mosaic: f64,
+    /// Optical kernels.
+    pub optics: f64,
+    /// Making the scenes ready.
+    pub prepare: f64,
+    /// All frames.
+    pub frames: f64,
+    /// Cones computed again.
+    pub audit: f64,
+}
+
+impl Stages {
+    /// The sum.
+    pub fn total(&self) -> f64 {
+        self.mosaic + self.optics + self.prepare + self.frames + self.audit
+    }
+
+    /// Adds others.
+    pub fn add(&mut self, other: &Self) {
+        self.mosaic += other.mosaic;
+        self.optics += other.optics;
+        self.prepare += other.prepare;
+        self.frames += other.frames;
+        self.audit += other.audit;
+    }
+}
+
 /// A prediction.
 #[derive(Clone, Copy, Debug)]
 pub struct Cost {
     /// Cones in the patch.
     pub cones: f64,
-    /// CPU seconds for the mosaic.
-    pub tiles_seconds: f64,
+    /// CPU seconds.
+    pub stages: Stages,
     /// Bytes of the mosaic.
     pub tiles_bytes: f64,
     /// Bytes of the cones.
     pub cones_bytes: f64,
-    /// CPU seconds for the kernels.
-    pub kernel_seconds: f64,
     /// Bytes of the kernels.
     pub kernel_bytes: f64,
-    /// CPU seconds of everything.
-    pub seconds: f64,
     /// Memory, bytes.
     pub bytes: f64,
 }
 
 /// Predicts the cost of an experiment without cached artifacts.
-pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile]) -> Cost {
+pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], machine: &Machine) -> Cost {
     let cones = cones_in(setup);
-    let size = setup.region.max - setup.region.min;
-    // Tiles are whole: the mosaic is built out to their edges and a halo beyond.
-    let tiles_share = (size.x + 256.0) * (size.y + 256.0) / (size.x * size.y).max(1.0);
-    let tiles_seconds = cones * tiles_share * SECONDS_PER_CONE;
-    let mut kernel_seconds = 0.0;
-    let mut kernel_bytes = 0.0;
+    let built = built_cones(setup);
+    let (mut optics, mut kernel_bytes, mut build_bytes) = (0.0, 0.0, 0.0_f64);
     for PlannedTile { kernels, .. } in tiles {
-        let (seconds, bytes) = kernel_cost(experiment, kernels);
-        kernel_seconds += seconds;
-        kernel_bytes += bytes;
+        let cost = kernel_cost(experiment, kernels);
+        optics += cost.seconds;
+        kernel_bytes += cost.bytes;
+        build_bytes = build_bytes.max(cost.build_bytes);
     }
     let parts = tiles.len().max(1) as f64;
     let samples = tiles.iter().map(|t| t.scene.samples.iter().product::<usize>() as f64).sum::<f64>();
     let primaries = experiment.display.primaries.len() as f64;
     let counting = super::engine::cost(experiment.counts.engine, experiment, setup, tiles, cones);
-    let cones_bytes = cones * 140.0;
+    let cones_bytes = cones * BYTES_PER_CONE;
     let images_bytes = samples * IMAGES * (2.0 * primaries + 4.0) + 4.0 * samples * 16.0;
+    let stages = Stages {
+        mosaic: machine.mosaic * built * SECONDS_PER_CONE,
+        optics: machine.optics * optics,
+        prepare: machine.prepare * counting.prepare,
+        frames: machine.frames * f64::from(experiment.frames) * counting.frame,
+        audit: machine.audit * audit_seconds(experiment, tiles),
+    };
     Cost {
         cones,
-        tiles_seconds,
-        tiles_bytes: cones_bytes * tiles_share,
+        stages,
+        tiles_bytes: built * BYTES_PER_CONE,
         cones_bytes,
-        kernel_seconds,
         kernel_bytes,
-        seconds: tiles_seconds + kernel_seconds + counting.seconds(experiment.frames),
-        // A worker keeps two tiles.
-        bytes: 60e6
-            + (2.0 * cones_bytes * tiles_share + cones * 900.0 + 3.0 * kernel_bytes + images_bytes)
+        // A worker keeps two tiles, and builds the kernels of two.
+        bytes: BASE_BYTES
+            + parts.min(2.0) * build_bytes
+            + 0.85
+                * (2.0 * cones_bytes + cones * 900.0 + 3.0 * kernel_bytes + images_bytes)
                 * (2.0 / parts).min(1.0),
     }
 }
 
+/// CPU seconds of the audit: point spreads every 7 nm, whose side in samples grows with the cube of the pupil.
+fn audit_seconds(experiment: &Experiment, tiles: &[PlannedTile]) -> f64 {
+    let nodes = tiles.first().map_or(&[][..], |t| t.kernels.nodes_nm.as_slice());
+    let range = nodes.last().unwrap_or(&0.0) - nodes.first().unwrap_or(&0.0);
+    let spreads = (range / 7.0 + 1.0).min(nodes.len() as f64 * 1.5);
+    let pupil = (experiment.eye.pupil_mm / 3.0).max(0.7);
+    let side = (0.6 + 0.4 * pupil.powi(4)).min(4.0);
+    let one = (spreads + 12.0) * SECONDS_PER_TRACE + spreads * SECONDS_PER_AUDITED_SPREAD * side.powi(2);
+    f64::from(experiment.audit_cones) * one
+}
+
+/// What the kernels of one tile cost.
+struct KernelCost {
+    seconds: f64,
+    /// Of the artifact, and while it is built.
+    bytes: f64,
+    build_bytes: f64,
+}
+
 /// CPU seconds and bytes of the kernels of one tile. Measured: a wavefront's transfer is 2 ms at 3 mm and grows with its spread,
 /// that is with the third power of the pupil, squared.
-fn kernel_cost(experiment: &Experiment, kernels: &KernelSpec) -> (f64, f64) {
+fn kernel_cost(experiment: &Experiment, kernels: &KernelSpec) -> KernelCost {
     let pupil = (experiment.eye.pupil_mm / 3.0).max(0.5);
     let cycles = 1e-4 * kernels.band * pupil.powi(3);
-    let shape = PolarShape::for_cycles(kernels.band, [cycles, 2.0], kernels.tolerance);
-    let transfers =
-        f64::from(kernels.field_nodes[0] * kernels.field_nodes[1]) * kernels.nodes_nm.len() as f64;
+    let shape = PolarShape::for_cycles(kernels.band, [cycles, 2.0], TABLE_TOLERANCE * kernels.tolerance);
+    let points = f64::from(kernels.field_nodes[0] * kernels.field_nodes[1]);
+    let transfers = points * kernels.nodes_nm.len() as f64;
     let seconds =
         transfers * (SECONDS_PER_TRANSFER * (1.0 + 0.05 * pupil.powi(6)) + 1e-7 * shape.len() as f64);
-    (seconds, IMAGES * kernels.primaries.len() as f64 * shape.len() as f64 * 16.0)
+    let (primaries, table) = (kernels.primaries.len() as f64, shape.len() as f64 * 16.0);
+    // A table a wavelength and point; then one a kind, place and primary.
+    let places = KINDS.len() as f64 * points * f64::from(kernels.ecc_nodes) * primaries;
+    KernelCost {
+        seconds,
+        bytes: IMAGES * primaries * table,
+        build_bytes: 0.85 * table * (transfers + places),
+    }
+}
+
+/// Cones of the mosaic's tiles, which are whole.
+fn built_cones(setup: &Setup) -> f64 {
+    if setup.mosaic.is_some() {
+        return 0.0;
+    }
+    let target = Density::new(&setup.retina);
+    let of_tile = |tile: &crate::retina::TileId| {
+        let Some(region) = tile.region() else { return 0.0 };
+        mean_density(&target, &region, 6) * (region.max - region.min).element_product() * 1e-6
+    };
+    tiles_for(&setup.region).iter().map(of_tile).sum()
 }
 
 /// Cones in the patch: the target density summed over a grid of 40 x 40 points.
 pub(super) fn cones_in(setup: &Setup) -> f64 {
-    const STEPS: u32 = 40;
-    let target = Density::new(&setup.retina);
     let size = setup.region.max - setup.region.min;
+    mean_density(&Density::new(&setup.retina), &setup.region, 40) * size.element_product() * 1e-6
+}
+
+/// Mean over steps x steps points, 1/mm².
+fn mean_density(target: &Density, region: &RegionUm, steps: u32) -> f64 {
     let mut density = 0.0;
-    for i in 0..STEPS {
-        for j in 0..STEPS {
-            let part = glam::DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5) / f64::from(STEPS);
-            let at = setup.region.min + size * part;
-            density += target.per_mm2(at);
-        }
+    for (i, j) in (0..steps).flat_map(|i| (0..steps).map(move |j| (i, j))) {
+        let part = glam::DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5) / f64::from(steps);
+        density += target.per_mm2(region.min + (region.max - region.min) * part);
     }
-    density / f64::from(STEPS * STEPS) * size.x * size.y * 1e-6
+    density / f64::from(steps * steps)
 }

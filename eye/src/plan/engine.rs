@@ -5,8 +5,8 @@
 //!
 //! `events`: `photons · share · seconds an event + tables + pieces of work`; `expected`: the same for any light.
 
-use super::setup::{Setup, setup};
-use super::{PlanError, PlannedTile, lit_wavelengths, planned_tiles};
+use super::setup::{Setup, UM_PER_TANGENT, cutoff, setup};
+use super::{Numerics, PlanError, PlannedTile, lit_wavelengths, planned_tiles};
 use crate::experiment::{Engine, Experiment, RangeError};
 
 /// CPU seconds per drawn photon of the `events` engine.
@@ -45,8 +45,8 @@ const MAX_LISTED_IN_FRAME: f64 = 600e3;
 /// What an engine costs beside the artifacts that all need, CPU seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct EngineCost {
-    prepare: f64,
-    frame: f64,
+    pub(super) prepare: f64,
+    pub(super) frame: f64,
 }
 
 impl EngineCost {
@@ -68,11 +68,37 @@ pub fn automatic(experiment: &Experiment) -> Result<Engine, PlanError> {
     experiment.counts.engine = Engine::Expected;
     experiment.validate()?;
     let setup = setup(&experiment)?;
+    if clearly_not_events(&experiment, &setup) {
+        return Ok(Engine::Expected);
+    }
     let wavelengths = lit_wavelengths(&experiment)?;
     let tiles = planned_tiles(&experiment, &setup, &wavelengths.nodes_nm)?;
     let cones = super::cost::cones_in(&setup);
     let [expected, events] = both(&experiment, &setup, &tiles, cones);
     Ok(if events < CLEARLY * expected { Engine::Events } else { Engine::Expected })
+}
+
+/// Whether the drawn photons of a whole screen alone take longer than `expected` does at most, with all frequencies of the eye: seen without
+/// tracing a tile.
+fn clearly_not_events(experiment: &Experiment, setup: &Setup) -> bool {
+    if experiment.retina.region_deg.is_some() {
+        return false;
+    }
+    let display = &experiment.display;
+    let pixels = f64::from(display.width_px) * f64::from(display.height_px);
+    let events = photons_per_pixel(experiment) * pixels * DRAWN_SHARE * SECONDS_PER_EVENT;
+    let density = 2.0 * Numerics::new(experiment).oversampling * cutoff(experiment);
+    let samples: f64 = (setup.tiles.iter())
+        .map(|tile| {
+            let around = (tile.max - tile.min + 2.0 * setup.guard_um) / UM_PER_TANGENT * density;
+            1.3 * around.x * around.y
+        })
+        .sum();
+    let cones = super::cost::cones_in(setup);
+    let images = samples * IMAGES * SECONDS_PER_SAMPLE;
+    // What is made ready once counts as much as it would for one frame.
+    let expected = cones * (SECONDS_PER_READY_CONE + SECONDS_PER_MEAN) + 2.0 * images;
+    events > CLEARLY * expected
 }
 
 /// Whether the list of counted photons is as long as is served.

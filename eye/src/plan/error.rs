@@ -1,34 +1,120 @@
 //! The error estimate: relative error of the mean per cone (L1 over cones) by its parts, for the settings that were chosen.
+//!
+//! Every constant is here; they were fitted to audits (`photoneye study prediction`). Parts add up: they have no common cause.
 
-use super::setup::Setup;
+use std::f64::consts::PI;
+
+use glam::DVec2;
+
+use super::setup::{UM_PER_TANGENT, cutoff};
 use super::wavelengths::Wavelengths;
-use super::{ErrorPart, PlannedTile};
-use crate::experiment::Experiment;
+use super::{ErrorPart, Numerics, PlanError, PlannedTile};
+use crate::experiment::{Engine, Experiment, Movement, RangeError};
+use crate::exposure::scene::Scene;
 
-/// The parts of the estimate.
-pub fn estimate(
-    experiment: &Experiment,
-    setup: &Setup,
-    tiles: &[PlannedTile],
-    wavelengths: &Wavelengths,
-) -> Vec<ErrorPart> {
-    let target = experiment.accuracy_target;
-    let part = |part: &str, relative: f64| ErrorPart { part: part.into(), relative };
-    // Measured at 3 mm: snapping the spread by half a degree costs 8e-3; interpolation over n nodes gains the n-th power of the
-    // step per node in degrees.
+/// Energy of a diffraction-limited spread beyond a radius R is about λ/(π² NA R); λ in the vitreous over NA, µm, at 3 mm.
+const TAIL_UM: f64 = 0.62;
+/// Error of fitted wavefronts and of their quadrature, at 3 mm.
+const OPTICS: f64 = 2e-5;
+/// Error of wavelength steps of 10 nm.
+const STEP_10_NM: f64 = 5e-5;
+/// Error of a field of one node a degree.
+const FIELD: f64 = 1.5e-3;
+/// Part of the copies' light that is left in the means after the tail's law is subtracted.
+const COPIES: f64 = 0.1;
+/// How much means move per tolerance of the low-rank basis; up to 3 on one lit pixel.
+const BASIS: f64 = 1.0;
+/// How much means move per loss above the band.
+const BAND: f64 = 1.0;
+/// Points of a window and of a patch along a side in the sum over copies.
+const GRID: u32 = 8;
+const PLACES: u32 = 3;
+/// Error of sums in single precision.
+const SINGLE: f64 = 2e-6;
+
+/// Part of a spread's light farther from its middle than a distance (µm).
+pub fn tail_beyond(experiment: &Experiment, um: f64) -> f64 {
+    0.5 * TAIL_UM * 3.0 / experiment.eye.pupil_mm / um
+}
+
+/// Light of the copies of an evenly lit window on its cones, relative to its own: `Σ ∫ T/(4π r³) dA` over the eight nearest copies, where
+/// T/(2R) is the part of a spread beyond R; the mean over places of the patch.
+fn copies(experiment: &Experiment, scene: &Scene) -> f64 {
+    let tail_um = TAIL_UM * 3.0 / experiment.eye.pupil_mm;
+    let px_um = scene.tangent_per_px * UM_PER_TANGENT;
+    let size = DVec2::new(f64::from(scene.size_px[0]), f64::from(scene.size_px[1]));
+    let period = DVec2::new(scene.period_px[0] as f64, scene.period_px[1] as f64);
+    let part = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n);
+    let cells = |n: u32| (0..n).flat_map(move |i| (0..n).map(move |j| DVec2::new(part(i, n), part(j, n))));
+    let area_um2 = size.x * size.y * px_um * px_um / f64::from(GRID * GRID);
+    let [min, max] = scene.cones_px;
+    let mut sum = 0.0;
+    for place in cells(PLACES) {
+        let cone = min + (max - min) * place;
+        for (x, y) in (-1..=1).flat_map(|x| (-1..=1).map(move |y| (x, y))).filter(|copy| *copy != (0, 0)) {
+            let corner = period * DVec2::new(f64::from(x), f64::from(y)) - cone;
+            // A copy is never nearer than a pixel.
+            let light = |p: DVec2| ((corner + size * p).length().max(1.0) * px_um).powi(-3);
+            sum += cells(GRID).map(light).sum::<f64>();
+        }
+    }
+    tail_um / (4.0 * PI) * area_um2 * sum / f64::from(PLACES * PLACES)
+}
+
+/// Error of interpolation over the field: over n nodes it gains the n-th power of the step per node in degrees. Measured at 3 mm on a patch of
+/// 2.5°: three nodes cost 1.5e-4 more than four, six no less.
+pub fn field_part(tiles: &[PlannedTile]) -> f64 {
     let field = |tile: &PlannedTile| {
         let nodes = f64::from(tile.kernels.field_nodes[0]);
-        8e-3 * (super::half_side_deg(&tile.region) / nodes).powf(nodes).min(1.0)
+        FIELD * (super::half_side_deg(&tile.region) / nodes).powf(nodes).min(1.0)
     };
-    let field = tiles.iter().map(field).fold(0.0, f64::max);
-    let limited = tiles.iter().any(|t| t.scene.band < super::setup::cutoff(experiment));
-    let guard = 0.5 * 0.62 * 3.0 / experiment.eye.pupil_mm / setup.guard_um;
+    tiles.iter().map(field).fold(0.0, f64::max)
+}
+
+/// Error of the frequencies that are left out.
+pub fn band_part(experiment: &Experiment) -> f64 {
+    BAND * Numerics::new(experiment).band_loss
+}
+
+/// The parts of the estimate.
+pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wavelengths) -> Vec<ErrorPart> {
+    let part = |part: &str, relative: f64| ErrorPart { part: part.into(), relative };
+    let numerics = Numerics::new(experiment);
+    let limited = tiles.iter().any(|t| t.scene.band < cutoff(experiment));
+    let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0);
+    // A line needs no steps.
+    let steps = if wavelengths.nodes_nm.len() > 1 { (wavelengths.step_nm / 10.0).powi(2) } else { 0.0 };
+    let grid = if numerics.single { SINGLE } else { 1e-9 } + 0.1_f64.powi(numerics.spread_width as i32);
+    let scanned = experiment.display.primaries.iter().any(|p| p.waveform.scan().is_some());
+    let period = tiles.iter().map(|t| copies(experiment, &t.scene)).sum::<f64>() / tiles.len().max(1) as f64;
+    let turns = scanned && !matches!(experiment.gaze.movement, Movement::Still);
     vec![
-        part("wavelength steps", 2e-4 * (wavelengths.step_nm / 10.0).powi(2)),
+        part("optics quadrature", OPTICS * pupil),
+        part("wavelength steps", STEP_10_NM * steps * pupil),
         part("wavelengths left out", wavelengths.outside),
-        part("field interpolation", field),
-        part("low-rank kernels", 0.02 * super::BASIS_SHARE * target),
-        part("period", guard),
-        part("band limit", if limited { 0.15 * target } else { 1e-6 }),
+        part("field interpolation", field_part(tiles)),
+        part("low-rank kernels", BASIS * numerics.basis_tolerance),
+        part("period", COPIES * period),
+        part("band limit", if limited { band_part(experiment) } else { 1e-7 }),
+        part("grid", grid),
+        part("time segments", if turns { 0.1 * crate::exposure::SCAN_BLUR } else { 0.0 }),
+        part("Poisson draws", 0.0),
     ]
+}
+
+/// Refuses a target that the settings cannot meet, with the best one that can be met.
+///
+/// # Errors
+/// The target, with the least that is allowed here.
+pub fn check_target(experiment: &Experiment, parts: &[ErrorPart]) -> Result<(), PlanError> {
+    let total: f64 = parts.iter().map(|p| p.relative).sum();
+    let target = experiment.accuracy_target;
+    if experiment.counts.engine != Engine::Expected || total <= target {
+        return Ok(());
+    }
+    // Rounded up to two figures.
+    let unit = 10_f64.powf(total.log10().floor() - 1.0);
+    let best = (total / unit).ceil() * unit;
+    let allowed = format!("{best:.1e} to 0.2 for this scene");
+    Err(RangeError::new("accuracy.target", target, &allowed).into())
 }

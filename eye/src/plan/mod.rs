@@ -4,13 +4,17 @@ mod band;
 mod cost;
 pub mod engine;
 mod error;
+mod lit;
+mod numerics;
 mod omissions;
+mod rules;
 pub mod setup;
 mod wavelengths;
 
 use std::collections::BTreeSet;
 
 use glam::DVec2;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::artifact::ArtifactSpec;
@@ -24,6 +28,9 @@ use crate::exposure::scene::Scene;
 use crate::exposure::spectral::Absorbers;
 use crate::media::Media;
 use crate::retina::{RegionUm, tiles_for};
+pub use cost::{Machine, Stages};
+pub use numerics::{Knobs, Numerics};
+pub use rules::Rule;
 use setup::Setup;
 
 /// What will be computed.
@@ -56,6 +63,9 @@ pub struct Plan {
     pub predicted_cones: f64,
     /// CPU seconds without cached artifacts, about.
     pub predicted_seconds: f64,
+    /// The same by stage.
+    #[serde(default)]
+    pub predicted_stages: Stages,
     /// Memory, bytes, about.
     pub predicted_bytes: f64,
     /// What the settings were chosen for: relative error of the mean per cone (L1 over cones), with its parts.
@@ -119,11 +129,6 @@ pub enum PlanError {
     Model(String),
 }
 
-/// Share of a cone type's catch that may lie beyond the wavelengths computed, per accuracy target.
-const WAVELENGTH_TAIL: f64 = 0.01;
-/// Error of the low-rank basis in its own norm, per accuracy target; the means move by about half of it (L1, measured on pictures
-/// from fine squares to one lit pixel).
-const BASIS_SHARE: f64 = 0.8;
 /// Frames in one shard.
 const SHARD_FRAMES: u32 = 16;
 
@@ -132,15 +137,24 @@ const SHARD_FRAMES: u32 = 16;
 /// # Errors
 /// A field that is out of range or cannot be served, with its name, value and what is possible.
 pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
+    plan_on(experiment, &Machine::default())
+}
+
+/// As [`plan`], with the seconds of a machine.
+///
+/// # Errors
+/// As [`plan`].
+pub fn plan_on(experiment: &Experiment, machine: &Machine) -> Result<Plan, PlanError> {
     experiment.validate()?;
     let setup = setup::setup(experiment)?;
     let wavelengths = lit_wavelengths(experiment)?;
     let tiles = planned_tiles(experiment, &setup, &wavelengths.nodes_nm)?;
-    let cost = cost::predict(experiment, &setup, &tiles);
+    let cost = cost::predict(experiment, &setup, &tiles, machine);
     let field_nodes = tiles.iter().map(|t| t.kernels.field_nodes.iter().product::<u32>()).sum();
-    let band = tiles.iter().map(|t| t.scene.band).fold(0.0, f64::max);
     let grid = tiles.iter().fold([0, 0], |g, t| [g[0].max(t.scene.samples[0]), g[1].max(t.scene.samples[1])]);
-    let error_estimate = error::estimate(experiment, &setup, &tiles, &wavelengths);
+    let error_estimate = error::estimate(experiment, &tiles, &wavelengths);
+    error::check_target(experiment, &error_estimate)?;
+    let omissions = omissions::list(experiment, &setup, &tiles, &wavelengths);
     engine::check_list(experiment, &tiles)?;
     let engine_reason = engine::reason(experiment, &setup, &tiles, cost.cones);
     let count = tiles.len() as u32;
@@ -167,9 +181,10 @@ pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
         artifacts,
         shards,
         tile_artifacts,
-        omissions: omissions::list(experiment, &setup, band, &wavelengths),
+        omissions,
         predicted_cones: cost.cones,
-        predicted_seconds: cost.seconds,
+        predicted_seconds: cost.stages.total(),
+        predicted_stages: cost.stages,
         predicted_bytes: cost.bytes,
         error_estimate,
         wavelengths_nm: wavelengths.nodes_nm,
@@ -184,8 +199,7 @@ fn lit_wavelengths(experiment: &Experiment) -> Result<wavelengths::Wavelengths, 
             .map_err(PlanError::Model)?,
         pigments: Pigments::new().map_err(PlanError::Model)?.with_unbleached(part_unbleached(experiment)),
     };
-    let tail = WAVELENGTH_TAIL * experiment.accuracy_target;
-    Ok(wavelengths::choose(experiment, &emitters, &absorbers, tail))
+    Ok(wavelengths::choose(experiment, &emitters, &lit::primaries(experiment), &absorbers))
 }
 
 /// The result tiles of an experiment.
@@ -199,7 +213,7 @@ fn planned_tiles(
         let kernels = kernel_spec(experiment, setup, region, &scene, nodes_nm.to_vec());
         Ok(PlannedTile { region: *region, scene, kernels })
     };
-    let mut tiles: Vec<PlannedTile> = setup.tiles.iter().map(tile).collect::<Result<_, PlanError>>()?;
+    let mut tiles: Vec<PlannedTile> = setup.tiles.par_iter().map(tile).collect::<Result<_, PlanError>>()?;
     let kernels: Vec<&KernelSpec> = tiles.iter().map(|tile| &tile.kernels).collect();
     let table =
         setup.reach_deg().and_then(|reach| table_for(&kernels, &setup.projection, reach)).map(Box::new);
@@ -242,11 +256,11 @@ fn artifacts(
     }
     for PlannedTile { region, kernels, .. } in result_tiles {
         let kernels = ArtifactSpec::Kernels(Box::new(kernels));
-        let kernels = planned(kernels, cost.kernel_seconds / parts, cost.kernel_bytes / parts)?;
+        let kernels = planned(kernels, cost.stages.optics / parts, cost.kernel_bytes / parts)?;
         if let Some(table) = &setup.mosaic {
             let params = Box::new(setup.retina.clone());
             let cones = ArtifactSpec::MeasuredCones { table: table.clone(), params, region };
-            let cones = planned(cones, cost.tiles_seconds / parts, cost.cones_bytes / parts)?;
+            let cones = planned(cones, cost.stages.mosaic / parts, cost.cones_bytes / parts)?;
             needed.push(vec![cones.key, kernels.key]);
             artifacts.extend([cones, kernels]);
             continue;
@@ -254,14 +268,14 @@ fn artifacts(
         let mut mosaic = Vec::new();
         for tile in tiles_for(&region) {
             let spec = ArtifactSpec::RetinaTile { params: Box::new(setup.retina.clone()), tile };
-            let tile = planned(spec, cost.tiles_seconds / count, cost.tiles_bytes / count)?;
+            let tile = planned(spec, cost.stages.mosaic / count, cost.tiles_bytes / count)?;
             mosaic.push(tile.key);
             if known.insert(tile.key) {
                 artifacts.push(tile);
             }
         }
         let cones = ArtifactSpec::Cones { tiles: mosaic, region };
-        let cones = planned(cones, 0.02 * cost.tiles_seconds / parts, cost.cones_bytes / parts)?;
+        let cones = planned(cones, 0.02 * cost.stages.mosaic / parts, cost.cones_bytes / parts)?;
         needed.push(vec![cones.key, kernels.key]);
         artifacts.extend([cones, kernels]);
     }
@@ -275,13 +289,16 @@ fn half_side_deg(tile: &RegionUm) -> f64 {
 
 /// Nodes along each side of a tile at which the optics are computed.
 fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> [u32; 2] {
-    let finer = u32::from(experiment.accuracy_target < 5e-3) + u32::from(experiment.accuracy_target < 5e-4);
+    if let Some(nodes) = experiment.counts.knobs.field_nodes {
+        return [nodes; 2];
+    }
     let nodes = match half_side_deg(tile) {
+        _ if !Rule::FieldNodes.applies(experiment) => 4,
         half if half < 0.1 => 1,
         half if half < 1.2 => 2,
         _ => 3,
     };
-    [nodes + finer; 2]
+    [nodes + Numerics::new(experiment).finer_field; 2]
 }
 
 /// Part of the cones' pigment that is not bleached.
@@ -311,15 +328,19 @@ fn kernel_spec(
         field_um: [tile.min, tile.max],
         field_nodes: field_nodes(experiment, tile),
         ecc_deg: [ecc_min, ecc_max],
-        ecc_nodes: if experiment.accuracy_target < 5e-4 { 4 } else { 3 },
+        ecc_nodes: if omissions::beyond_gradients(experiment, ecc_min) {
+            1
+        } else {
+            Numerics::new(experiment).ecc_nodes
+        },
         nodes_nm,
-        primaries: experiment.display.primaries.iter().map(|p| p.spectrum.clone()).collect(),
+        primaries: lit::spectra(experiment),
         lens_density_scale: experiment.eye.lens_density_scale,
         macular_peak_density: experiment.eye.macular_peak_density,
         reflection_losses: experiment.eye.reflection_losses,
         stiles_crawford_rho10_per_mm2: experiment.eye.stiles_crawford_rho10_per_mm2,
         unbleached: part_unbleached(experiment),
-        tolerance: BASIS_SHARE * experiment.accuracy_target,
+        tolerance: Numerics::new(experiment).basis_tolerance,
         band: scene.band,
         wavefronts: None,
     }

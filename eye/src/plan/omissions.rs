@@ -1,131 +1,236 @@
-//! What a scene does not need, with the reason and a bound on the relative error of the mean per cone.
+//! What a scene does not need, with the reason and a bound on the relative error of the mean per cone: one function a rule.
 
-use super::Omission;
-use super::setup::Setup;
+use super::rules::Rule;
+use super::setup::{MARGIN_UM, Setup, UM_PER_TANGENT, cutoff};
 use super::wavelengths::Wavelengths;
+use super::{Numerics, Omission, PlannedTile, error, lit};
 use crate::cone::pigment::unbleached;
-use crate::display::{FORGOTTEN, Primary, Waveform};
-use crate::experiment::{Experiment, StrayLight};
+use crate::display::{FORGOTTEN, Levels, Primary, Waveform};
+use crate::experiment::{Engine, Experiment, StrayLight};
+use crate::exposure::inputs::{POINTING_SHARE, pointing_effect, pointing_of};
 use crate::exposure::stray::scattered_share;
 use crate::media::MACULA_EDGE_DEG;
 
-/// Energy of a diffraction-limited spread beyond a radius R is about λ/(π² NA R); λ in the vitreous over NA, µm, at 3 mm.
-const TAIL_UM: f64 = 0.62;
+/// Visual eccentricity beyond which neither macula nor pigments change, degrees.
+const GRADIENTS_END_DEG: f64 = 13.0;
+
+/// What the rules look at.
+struct Look<'a> {
+    experiment: &'a Experiment,
+    setup: &'a Setup,
+    tiles: &'a [PlannedTile],
+    wavelengths: &'a Wavelengths,
+}
 
 /// The omissions of an experiment.
-pub fn list(experiment: &Experiment, setup: &Setup, band: f64, wavelengths: &Wavelengths) -> Vec<Omission> {
-    let mut list = vec![
-        omission(
-            "cones outside the patch",
-            &format!(
-                "the picture, its blur and its movement fall within x {:.0} to {:.0}, y {:.0} to {:.0} µm of the foveal centre",
-                setup.region.min.x, setup.region.max.x, setup.region.min.y, setup.region.max.y
-            ),
-            0.0,
-        ),
-        omission(
-            "wavelengths without light that a cone can catch",
-            &format!(
-                "{} of 390 to 830 nm is computed at {} wavelengths; light beyond is kept at the nearest",
-                range(&wavelengths.nodes_nm),
-                wavelengths.nodes_nm.len()
-            ),
-            wavelengths.outside,
-        ),
-        omission(
-            "copies of the picture beyond the guard distance",
-            &format!("the image is periodic; the nearest copy is {:.0} µm from any cone", setup.guard_um),
-            0.5 * TAIL_UM * 3.0 / experiment.eye.pupil_mm / setup.guard_um,
-        ),
+pub fn list(
+    experiment: &Experiment,
+    setup: &Setup,
+    tiles: &[PlannedTile],
+    wavelengths: &Wavelengths,
+) -> Vec<Omission> {
+    let look = Look { experiment, setup, tiles, wavelengths };
+    let rules: [(Option<Rule>, fn(&Look) -> Option<Omission>); 18] = [
+        (Some(Rule::ConesOutside), cones_outside),
+        (Some(Rule::Wavelengths), dark_wavelengths),
+        (Some(Rule::FieldNodes), field_nodes),
+        (Some(Rule::CoarseGrids), coarse_grids),
+        (Some(Rule::StillEye), motion),
+        (Some(Rule::StillEye), course),
+        (Some(Rule::Eccentricities), eccentricities),
+        (None, macula),
+        (Some(Rule::UnlitPrimaries), unlit_primaries),
+        (Some(Rule::RepeatedFrames), repeated_frames),
+        (Some(Rule::DarkTiles), dark_tiles),
+        (Some(Rule::BlindTypes), blind_types),
+        (Some(Rule::Pointing), pointing),
+        (None, copies),
+        (None, scan_steps),
+        (None, ghosts),
+        (None, directional),
+        (None, bleaching),
     ];
-    list.extend(unbleached_pigment(experiment));
-    list.extend(lost_light(experiment));
-    let cutoff = super::setup::cutoff(experiment);
-    if band < cutoff {
-        let kept = band * std::f64::consts::PI / 180.0;
-        list.push(omission(
-            "spatial frequencies that blur and apertures average away",
-            &format!("frequencies up to {kept:.0} cycles per degree are kept, fewer where cones are wide"),
-            0.15 * experiment.accuracy_target,
-        ));
-    }
-    if setup.gaze.is_still() {
-        list.push(omission("motion blur", "the eye does not move", 0.0));
-        let steady = |p: &Primary| p.waveform == Waveform::Steady;
-        if !experiment.display.primaries.iter().all(steady) || experiment.display.panel.lag_ms > 0.0 {
-            let why = "to an eye that does not move the light of a frame is one sum";
-            list.push(omission("the course of light inside a frame", why, 0.0));
-        }
-    }
-    if !setup.gaze.is_still() && experiment.display.primaries.iter().any(|p| p.waveform.scan().is_some()) {
-        let why = "the turns of pixels are cut into steps; of a frequency at a third of the band so much is blurred";
-        list.push(omission("times between the steps of the scan", why, crate::exposure::SCAN_BLUR));
-    }
-    let frame_s = 1.0 / experiment.display.frame_rate_hz;
-    let history = |p: &Primary| p.waveform.timing(0, frame_s, experiment.display.panel.lag_ms).history();
-    let history = experiment.display.primaries.iter().map(history).max().unwrap_or(0);
-    if history > 0 {
-        let why = format!("{history} earlier frames are looked at");
-        list.push(omission("ghosts of frames before those", &why, FORGOTTEN));
-    }
-    let nearest = glam::DVec2::ZERO.clamp(setup.region.min, setup.region.max).length();
-    if nearest / super::setup::UM_PER_TANGENT > MACULA_EDGE_DEG.to_radians() {
-        list.push(omission("macular pigment", "the patch lies beyond its edge", 0.0));
-    }
-    if experiment.eye.stiles_crawford_rho10_per_mm2 <= 0.0 {
-        let lost = 0.05 * std::f64::consts::LN_10 * experiment.eye.pupil_mm.powi(2) / 8.0;
-        list.push(omission(
-            "directional sensitivity of the cones",
-            "the experiment switches it off",
-            lost.min(1.0),
-        ));
-    }
-    list
+    let made = |(rule, of): &(Option<Rule>, fn(&Look) -> Option<Omission>)| {
+        if rule.is_none_or(|rule| rule.applies(experiment)) { of(&look) } else { None }
+    };
+    rules.iter().filter_map(made).chain(stray_light(&look)).chain(reflections(&look)).collect()
 }
 
-/// Scattered and reflected light, where they are left out.
-fn lost_light(experiment: &Experiment) -> Vec<Omission> {
-    let mut list = Vec::new();
-    if experiment.eye.stray_light.is_none() {
-        let usual = StrayLight { age_years: 30.0, pigmentation: 0.5 };
-        list.push(omission(
-            "light scattered in the eye",
-            "scattered light stays in the image; at 30 years so much of it would be spread as a veil over the whole field, see eye.stray_light",
-            scattered_share(usual),
-        ));
-    }
-    if !experiment.eye.reflection_losses {
-        list.push(omission(
-            "reflections at the surfaces of cornea and lens",
-            "the flat 0.016 in the density of the cornea stands for them; computed, 1 % more light passes, see eye.reflection_losses",
-            0.01,
-        ));
-    }
-    list
+fn omission(what: &str, why: &str, bound: f64) -> Option<Omission> {
+    Some(Omission { what: what.into(), why: why.into(), bound })
 }
 
-fn omission(what: &str, why: &str, bound: f64) -> Omission {
-    Omission { what: what.into(), why: why.into(), bound }
+/// The bound is the share of the light that falls on them.
+fn cones_outside(look: &Look) -> Option<Omission> {
+    let region = look.setup.region;
+    let why = format!(
+        "the picture, its blur and its movement fall within x {:.0} to {:.0}, y {:.0} to {:.0} µm of the foveal centre",
+        region.min.x, region.max.x, region.min.y, region.max.y
+    );
+    let beyond = if look.experiment.retina.region_deg.is_none() {
+        error::tail_beyond(look.experiment, MARGIN_UM)
+    } else {
+        0.0
+    };
+    omission("cones outside the patch", &why, beyond)
 }
 
-fn range(nm: &[f64]) -> String {
-    match nm {
+fn dark_wavelengths(look: &Look) -> Option<Omission> {
+    let nodes = &look.wavelengths.nodes_nm;
+    let range = match nodes.as_slice() {
         [] => "nothing".into(),
         [only] => format!("{only:.1} nm"),
         [first, .., last] => format!("{first:.0} to {last:.0} nm"),
-    }
+    };
+    let count = nodes.len();
+    let why = format!(
+        "{range} of 390 to 830 nm is computed at {count} wavelengths; light beyond is kept at the nearest"
+    );
+    omission("wavelengths without light that a cone can catch", &why, look.wavelengths.outside)
 }
 
-/// Bleaching, where it is left out: a steady white screen would bleach I/(I + I₀) of the pigment.
-fn unbleached_pigment(experiment: &Experiment) -> Option<Omission> {
-    if experiment.retina.bleaching_td.is_some() {
-        return None;
-    }
+fn field_nodes(look: &Look) -> Option<Omission> {
+    let most = look.tiles.iter().map(|t| t.kernels.field_nodes[0]).max()?;
+    let why = format!("over a tile the optics change little: {most} points along each side");
+    omission("points of the field", &why, error::field_part(look.tiles))
+}
+
+fn coarse_grids(look: &Look) -> Option<Omission> {
+    let band = look.tiles.iter().map(|t| t.scene.band).fold(0.0, f64::max);
+    let kept = band * std::f64::consts::PI / 180.0;
+    let why = format!("frequencies up to {kept:.0} cycles per degree are kept, fewer where cones are wide");
+    let what = "spatial frequencies that blur and apertures average away";
+    (band < cutoff(look.experiment)).then(|| omission(what, &why, error::band_part(look.experiment)))?
+}
+
+fn motion(look: &Look) -> Option<Omission> {
+    look.setup.gaze.is_still().then(|| omission("motion blur", "the eye does not move", 0.0))?
+}
+
+fn course(look: &Look) -> Option<Omission> {
+    let display = &look.experiment.display;
+    let steady = |p: &Primary| p.waveform == Waveform::Steady;
+    let varies = !display.primaries.iter().all(steady) || display.panel.lag_ms > 0.0;
+    let why = "to an eye that does not move the light of a frame is one sum";
+    (look.setup.gaze.is_still() && varies)
+        .then(|| omission("the course of light inside a frame", why, 0.0))?
+}
+
+/// Visual eccentricity nearest to the fovea, degrees.
+fn nearest_deg(look: &Look) -> f64 {
+    let region = look.setup.region;
+    (glam::DVec2::ZERO.clamp(region.min, region.max).length() / UM_PER_TANGENT).to_degrees()
+}
+
+/// Whether nothing changes with eccentricity from there on.
+pub fn beyond_gradients(experiment: &Experiment, ecc_deg: f64) -> bool {
+    Rule::Eccentricities.applies(experiment) && ecc_deg > GRADIENTS_END_DEG
+}
+
+fn eccentricities(look: &Look) -> Option<Omission> {
+    let flat = look.tiles.iter().filter(|t| t.kernels.ecc_nodes == 1).count();
+    let why = format!("{flat} tile(s) lie beyond {GRADIENTS_END_DEG}°: macula and pigments change no more");
+    (flat > 0).then(|| omission("changes of pigments with eccentricity", &why, 0.0))?
+}
+
+fn macula(look: &Look) -> Option<Omission> {
+    let beyond = nearest_deg(look) > MACULA_EDGE_DEG;
+    beyond.then(|| omission("macular pigment", "the patch lies beyond its edge", 0.0))?
+}
+
+fn unlit_primaries(look: &Look) -> Option<Omission> {
+    let dark = lit::primaries(look.experiment).iter().filter(|lit| !**lit).count();
+    let why = format!("{dark} primaries are dark in the whole video");
+    (dark > 0).then(|| omission("optics of primaries that nothing lights", &why, 0.0))?
+}
+
+fn repeated_frames(look: &Look) -> Option<Omission> {
+    let Experiment { frames, counts, display, .. } = look.experiment;
+    let dithered = match display.panel.levels {
+        Levels::Continuous => false,
+        Levels::Values { dither, .. } | Levels::Planes { dither, .. } => dither,
+    };
+    let may = *frames > 1 && counts.engine == Engine::Expected && look.setup.gaze.is_still() && !dithered;
+    let why = "means of a frame that shows the same as the one before are those of that one";
+    may.then(|| omission("frames that repeat", why, 0.0))?
+}
+
+fn dark_tiles(look: &Look) -> Option<Omission> {
+    let may = look.experiment.display.black <= 0.0 && look.experiment.counts.engine == Engine::Expected;
+    let why = "a frame of a tile that sees no lit pixel is 0 without being computed";
+    may.then(|| omission("frames and tiles without light", why, 0.0))?
+}
+
+fn blind_types(look: &Look) -> Option<Omission> {
+    let why =
+        "a type of cone that there is none of, or that catches less than this of what the best one does";
+    (look.experiment.counts.engine == Engine::Expected).then(|| {
+        omission("images for types of cone without light", why, Numerics::new(look.experiment).blind_below)
+    })?
+}
+
+fn pointing(look: &Look) -> Option<Omission> {
+    let effect = pointing_effect(look.experiment, &pointing_of(look.experiment, look.setup));
+    let small = effect < POINTING_SHARE * look.experiment.accuracy_target;
+    small.then(|| omission("pointing errors of cones", "they change less than the target asks", effect))?
+}
+
+fn copies(look: &Look) -> Option<Omission> {
+    let guard_um = look.setup.guard_um;
+    let why = format!("the image is periodic; the nearest copy is {guard_um:.0} µm from any cone");
+    omission(
+        "copies of the picture beyond the guard distance",
+        &why,
+        error::tail_beyond(look.experiment, guard_um),
+    )
+}
+
+fn scan_steps(look: &Look) -> Option<Omission> {
+    let scanned = look.experiment.display.primaries.iter().any(|p| p.waveform.scan().is_some());
+    let why =
+        "the turns of pixels are cut into steps; of a frequency at a third of the band so much is blurred";
+    (scanned && !look.setup.gaze.is_still())
+        .then(|| omission("times between the steps of the scan", why, crate::exposure::SCAN_BLUR))?
+}
+
+fn ghosts(look: &Look) -> Option<Omission> {
+    let display = &look.experiment.display;
+    let frame_s = 1.0 / display.frame_rate_hz;
+    let history = |p: &Primary| p.waveform.timing(0, frame_s, display.panel.lag_ms).history();
+    let history = display.primaries.iter().map(history).max().unwrap_or(0);
+    let why = format!("{history} earlier frames are looked at");
+    (history > 0).then(|| omission("ghosts of frames before those", &why, FORGOTTEN))?
+}
+
+fn directional(look: &Look) -> Option<Omission> {
+    let eye = &look.experiment.eye;
+    let lost = 0.05 * std::f64::consts::LN_10 * eye.pupil_mm.powi(2) / 8.0;
+    (eye.stiles_crawford_rho10_per_mm2 <= 0.0).then(|| {
+        omission("directional sensitivity of the cones", "the experiment switches it off", lost.min(1.0))
+    })?
+}
+
+/// A steady white screen would bleach I/(I + I₀) of the pigment.
+fn bleaching(look: &Look) -> Option<Omission> {
+    let experiment = look.experiment;
     let trolands = experiment.display.white_trolands(experiment.eye.pupil_mm);
     let bound = 1.0 - unbleached(trolands);
     let mut why = format!("pigments are taken as unbleached, as in §20; a white screen has {trolands:.0} td");
     if bound > 0.01 {
         why += ": it matters here, see retina.bleaching";
     }
-    Some(omission("bleaching", &why, bound))
+    experiment.retina.bleaching_td.is_none().then(|| omission("bleaching", &why, bound))?
+}
+
+fn stray_light(look: &Look) -> Option<Omission> {
+    let usual = StrayLight { age_years: 30.0, pigmentation: 0.5 };
+    let why = "scattered light stays in the image; at 30 years so much of it would be spread as a veil over the whole field, see eye.stray_light";
+    let none = look.experiment.eye.stray_light.is_none();
+    none.then(|| omission("light scattered in the eye", why, scattered_share(usual)))?
+}
+
+fn reflections(look: &Look) -> Option<Omission> {
+    let why = "the flat 0.016 in the density of the cornea stands for them; computed, 1 % more light passes, see eye.reflection_losses";
+    (!look.experiment.eye.reflection_losses)
+        .then(|| omission("reflections at the surfaces of cornea and lens", why, 0.01))?
 }

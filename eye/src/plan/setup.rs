@@ -2,10 +2,12 @@
 //!
 //! Both the planner and the engines call this, so a plan says what is run.
 
+use std::sync::OnceLock;
+
 use glam::DVec2;
 
-use super::PlanError;
-use super::band::band;
+use super::band::{Moduli, band};
+use super::{Numerics, PlanError, Rule};
 use crate::experiment::{Engine, Experiment, MAX_REGION_DEG, RangeError};
 use crate::exposure::scene::{MAX_GRID, Scene, SceneNeeds};
 use crate::movement::Gaze;
@@ -13,15 +15,14 @@ use crate::optics::{EyeState, FieldFit, Prescription, Projection, SchematicEye};
 use crate::retina::{RegionUm, RetinaGeometry, RetinaParams};
 
 /// Retina beyond the picture's edge that is simulated because the picture's blur falls on it, µm.
-const MARGIN_UM: f64 = 75.0;
+pub(super) const MARGIN_UM: f64 = 75.0;
+/// What is simulated beyond that when cones outside are not left out, µm.
+const WIDE_UM: f64 = 300.0;
 /// µm of retina per unit tangent at the fovea, for distances that need no better.
 pub(super) const UM_PER_TANGENT: f64 = 16_440.0;
 /// Largest patch that is one tile, µm (6 visual degrees and the picture's blur), and largest tile of a larger one.
 const MAX_SINGLE_UM: f64 = 1_950.0;
 const TILE_UM: f64 = 1_100.0;
-/// Samples per two cycles of the highest frequency.
-const OVERSAMPLING: f64 = 1.12;
-const FINE_OVERSAMPLING: f64 = 1.25;
 
 /// The geometry of a scene.
 #[derive(Clone, Debug)]
@@ -46,6 +47,8 @@ pub struct Setup {
     pub mosaic: Option<String>,
     /// Distance between a cone and the nearest copy of the picture, µm.
     pub guard_um: f64,
+    /// The transfer over the patch, traced when it is asked for.
+    pub(super) moduli: OnceLock<Result<Moduli, String>>,
 }
 
 /// The geometry of an experiment's scene.
@@ -62,11 +65,7 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     let gaze = Gaze::new(&experiment.gaze, experiment.display.distance_cm, experiment.frames, frame_s)?;
     let sight = gaze.bounds(seconds);
     let region = region(experiment, &projection, sight)?;
-    let guard_um = match experiment.accuracy_target {
-        t if t >= 5e-4 => 150.0,
-        t if t >= 5e-5 => 300.0,
-        _ => 600.0,
-    };
+    let guard_um = Numerics::new(experiment).guard_um;
     if experiment.eye.stray_light.is_some() && experiment.counts.engine != Engine::Expected {
         let allowed = "left out with counts.engine PAPER or EVENTS, which throw scattered light away (§19)";
         return Err(RangeError::new("eye.stray_light", "given", allowed).into());
@@ -80,7 +79,19 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     }
     let retina = retina_params(experiment, &prescription, &state)?;
     let mosaic = experiment.retina.mosaic.clone();
-    Ok(Setup { prescription, state, projection, gaze, region, tiles, sight, retina, mosaic, guard_um })
+    Ok(Setup {
+        prescription,
+        state,
+        projection,
+        gaze,
+        region,
+        tiles,
+        sight,
+        retina,
+        mosaic,
+        guard_um,
+        moduli: OnceLock::new(),
+    })
 }
 
 /// Retina beyond a tile that its kernels look at, µm.
@@ -107,7 +118,7 @@ impl Setup {
             sight: self.sight,
             guard: self.guard_um / UM_PER_TANGENT,
             band: band(experiment, self, tile)?,
-            oversampling: if experiment.accuracy_target >= 5e-4 { OVERSAMPLING } else { FINE_OVERSAMPLING },
+            oversampling: Numerics::new(experiment).oversampling,
         };
         Scene::new(&experiment.display, &needs).map_err(|samples| {
             let allowed = format!("a scene of at most {MAX_GRID} grid samples a side, here it would be {samples}; give a smaller retina.region_deg or less movement");
@@ -207,7 +218,8 @@ fn region(
         let centre = DVec2::from_array(experiment.gaze.center_px);
         let (from, to) = (-centre * per_px, (size - centre) * per_px);
         let picture = [DVec2::new(from.x, -to.y) - sight[1], DVec2::new(to.x, -from.y) - sight[0]];
-        (picture, MARGIN_UM)
+        let wide = if Rule::ConesOutside.applies(experiment) { 0.0 } else { WIDE_UM };
+        (picture, MARGIN_UM + wide)
     };
     let most = tangent(MAX_REGION_DEG);
     let extent = corners[0].abs().max(corners[1].abs()).max_element();
@@ -219,7 +231,7 @@ fn region(
         return Err(RangeError::new("retina.region_deg", "the picture", &allowed).into());
     }
     let (mut min, mut max) = (DVec2::MAX, DVec2::MIN);
-    for t in edge_points(corners) {
+    for t in edge_points(corners, 4) {
         let um = projection.retina_um(t, 543.0).map_err(|e| PlanError::Model(e.to_string()))?;
         (min, max) = (min.min(um), max.max(um));
     }
@@ -228,27 +240,21 @@ fn region(
 
 /// Rectangle of the screen that holds everything imaged on a patch and on the apertures that stick out of it.
 fn screen_bounds(projection: &Projection, region: &RegionUm) -> Result<[DVec2; 2], PlanError> {
-    const APERTURES_UM: f64 = 8.0;
+    // Apertures stick out by 8 µm, and an edge of a tile is bent by 12.
+    const BEYOND_UM: f64 = 24.0;
     let (mut min, mut max) = (DVec2::MAX, DVec2::MIN);
-    for um in edge_points([region.min - APERTURES_UM, region.max + APERTURES_UM]) {
+    for um in edge_points([region.min - BEYOND_UM, region.max + BEYOND_UM], 1) {
         let t = projection.screen_tangent(um).map_err(|e| PlanError::Model(e.to_string()))?;
         (min, max) = (min.min(t), max.max(t));
     }
     Ok([min, max])
 }
 
-/// Points along the edges of a rectangle.
-fn edge_points([a, b]: [DVec2; 2]) -> Vec<DVec2> {
-    const STEPS: u32 = 4;
-    let mut points = Vec::new();
-    for i in 0..=STEPS {
-        let t = f64::from(i) / f64::from(STEPS);
-        for side in [0.0, 1.0] {
-            points.push(DVec2::new(a.x + (b.x - a.x) * t, a.y + (b.y - a.y) * side));
-            points.push(DVec2::new(a.x + (b.x - a.x) * side, a.y + (b.y - a.y) * t));
-        }
-    }
-    points
+/// Corners of a rectangle and points on its edges between, `steps` parts an edge.
+fn edge_points([a, b]: [DVec2; 2], steps: u32) -> Vec<DVec2> {
+    let corners = [a, DVec2::new(b.x, a.y), b, DVec2::new(a.x, b.y)];
+    let edge = |k: usize| (0..steps).map(move |i| (k, f64::from(i) / f64::from(steps)));
+    (0..4).flat_map(edge).map(|(k, t)| corners[k].lerp(corners[(k + 1) % 4], t)).collect()
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Which wavelengths a scene needs: those that a primary emits and a cone can catch.
 
+use super::{Numerics, Rule};
 use crate::display::{Emitter, photon_shares};
 use crate::experiment::Experiment;
 use crate::exposure::spectral::{Absorbers, KINDS, Kind, Paths, wavelength_nodes};
@@ -18,25 +19,21 @@ pub struct Wavelengths {
     pub step_nm: f64,
 }
 
-/// Chooses nodes for the emitters of a display. `tail` is the share of a catch that may lie beyond either end.
+/// Chooses nodes for the emitters of a display, of which only the `lit` ones count.
 pub fn choose(
     experiment: &Experiment,
     emitters: &[Emitter],
+    lit: &[bool],
     absorbers: &Absorbers,
-    tail: f64,
 ) -> Wavelengths {
-    let step_nm = experiment.counts.wavelength_step_nm.unwrap_or(match experiment.accuracy_target {
-        t if t >= 5e-4 => 10.0,
-        t if t >= 5e-5 => 5.0,
-        _ => 2.5,
-    });
+    let Numerics { wavelength_step_nm: step_nm, wavelength_tail: tail, .. } = Numerics::new(experiment);
     let paths = Paths { cornea: 1.0, lens: 1.0 };
     // Share of the catch of each cone type from each primary, by wavelength; the largest over both decides.
     let mut catches: Vec<(f64, f64)> = Vec::new();
     // A dark primary has its spectrum still.
     let spectra: Vec<_> = experiment.display.primaries.iter().map(|p| p.spectrum.clone()).collect();
     let dark = photon_shares(&spectra);
-    for (emitter, shares) in emitters.iter().zip(&dark) {
+    for ((emitter, shares), _) in emitters.iter().zip(&dark).zip(lit).filter(|(_, lit)| **lit) {
         let lit = emitter.emitted() > 0.0;
         let photons: Vec<(f64, f64)> =
             if lit { emitter.photons.iter().map(|p| (p.nm, p.emitted)).collect() } else { shares.clone() };
@@ -75,5 +72,20 @@ pub fn choose(
     if lit.is_empty() {
         lit.push(catches.get(catches.len() / 2).map_or(DARK_NM, |c| c.0));
     }
-    Wavelengths { nodes_nm: wavelength_nodes(lit, step_nm), outside, step_nm }
+    let mut nodes_nm = wavelength_nodes(lit, step_nm);
+    if !Rule::Wavelengths.applies(experiment) {
+        fill(&mut nodes_nm, step_nm);
+    }
+    Wavelengths { nodes_nm, outside, step_nm }
+}
+
+/// Adds nodes over the whole visible range where there are none.
+fn fill(nodes_nm: &mut Vec<f64>, step_nm: f64) {
+    let (from, to) = (crate::spectrum::MIN_NM, crate::spectrum::MAX_NM);
+    let steps = ((to - from) / step_nm).ceil();
+    let even = (0..=steps as usize).map(|i| from + (to - from) * i as f64 / steps);
+    let far = |nm: &f64| nodes_nm.iter().all(|node| (node - nm).abs() >= 0.5 * step_nm);
+    let added: Vec<f64> = even.filter(far).collect();
+    nodes_nm.extend(added);
+    nodes_nm.sort_by(f64::total_cmp);
 }

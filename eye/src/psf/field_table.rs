@@ -8,7 +8,7 @@
 //! # Accuracy
 //! Path differences against traced ones with the default eye, square fields about the line of sight, 400 to 700 nm: 3 nodes a side hold
 //! ±1° to 2e-3 waves at 3 mm and 4e-3 at 6 mm (nearly all of it tilt, that is, place), 4 nodes ±2.5° to 1e-4 at 8 mm, 7 nodes ±12° to
-//! 5e-4, 9 nodes ±30° to 6e-3 (tilt: 0.02 µm of place) and 11 nodes to 6e-4 at 8 mm; see the test.
+//! 5e-4, 9 nodes ±30° to 6e-3 at 3 mm (tilt: 0.02 µm of place) and 11 nodes to 6e-4 at 8 mm; see the test.
 //!
 //! # Cost
 //! One [`Wavefront`] a node and traced wavelength: 10 for a polyline of three pieces, 9 for a smooth law.
@@ -24,8 +24,10 @@ use crate::optics::{EyeState, OpticsError, Prescription, Projection, SchematicEy
 use crate::spectrum::{MAX_NM, MIN_NM};
 
 const MAGIC: &[u8] = b"PEwaves1";
-/// Half sides of fields, degrees, and the nodes along a side that hold them to a hundredth of a wave up to 8 mm of pupil (see the test).
-const FIELDS: [(f64, usize); 4] = [(2.5, 4), (5.0, 5), (12.0, 6), (30.0, 9)];
+/// Half sides of fields, degrees, and the nodes along a side that hold them to a hundredth of a wave, for pupils up to 4 mm and up to 8 mm
+/// (see the test).
+const FIELDS: [(f64, [usize; 2]); 4] = [(2.5, [4, 4]), (5.0, [5, 5]), (12.0, [6, 6]), (30.0, [9, 11])];
+const NARROW_MM: f64 = 4.0;
 
 /// What the wavefronts of a whole field are made from: one table for an eye, its pupil, its focus and a distance of the screen.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -46,8 +48,9 @@ pub struct FieldTableSpec {
 
 impl FieldTableSpec {
     /// Half side (degrees) and nodes along a side of the smallest field that holds `reach_deg`; `None` when none does.
-    pub fn field(reach_deg: f64) -> Option<(f64, usize)> {
-        FIELDS.into_iter().find(|(half, _)| reach_deg <= *half)
+    pub fn field(reach_deg: f64, pupil_mm: f64) -> Option<(f64, usize)> {
+        let (half, nodes) = FIELDS.into_iter().find(|(half, _)| reach_deg <= *half)?;
+        Some((half, nodes[usize::from(pupil_mm > NARROW_MM)]))
     }
 
     /// How many wavefronts are traced.
@@ -254,7 +257,8 @@ mod tests {
                 (8.0, 2.5, 4, 1e-3),
                 (6.0, 5.0, 5, 1e-3),
                 (8.0, 12.0, 6, 1e-2),
-                (8.0, 30.0, 9, 1e-2),
+                (4.0, 30.0, 9, 1e-2),
+                (8.0, 30.0, 11, 1e-2),
                 (3.0, 30.0, 7, 0.1),
                 (3.0, 30.0, 9, 0.03),
             ] {

@@ -85,11 +85,29 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             seed: 7,
             photon_list: false,
             wavelength_step_nm: None,
+            knobs: photoneye_eye::plan::Knobs::default(),
             paper: PaperSettings::default(),
         },
         accuracy_target: 0.01,
+        audit_cones: 0,
+        computed_anyway: Vec::new(),
         frames: 1,
     }
+}
+
+/// Settings finer than what a target asks for.
+pub fn finer(experiment: &mut Experiment) {
+    experiment.counts.wavelength_step_nm = Some(5.0);
+    experiment.counts.knobs = photoneye_eye::plan::Knobs {
+        basis_tolerance: Some(1e-5),
+        band_loss: Some(3e-5),
+        guard_um: Some(600.0),
+        spread_width: Some(10),
+        oversampling: Some(1.25),
+        field_nodes: Some(4),
+        ecc_nodes: Some(4),
+        double_precision: Some(true),
+    };
 }
 
 /// White everywhere.

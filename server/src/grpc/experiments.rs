@@ -78,8 +78,7 @@ impl Experiments for Door {
 
     async fn get_report(&self, request: Request<v1::JobRequest>) -> Answer<v1::Report> {
         self.0.owned(&caller(&request)?, request.get_ref().id()).await?;
-        let json = self.0.report(request.get_ref().id()).await?.to_string();
-        Ok(Response::new(v1::Report { json: Some(json) }))
+        Ok(Response::new(self.0.report_message(request.get_ref().id()).await?))
     }
 
     type GetConesStream = Streamed<v1::GetBlobReply>;

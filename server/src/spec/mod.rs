@@ -7,12 +7,16 @@ mod scene;
 
 use photoneye_eye::experiment::{Counts, Engine, Experiment, PaperSettings, Retina, Video};
 use photoneye_eye::plan::engine::automatic;
+use photoneye_eye::plan::{Knobs, Rule};
 use photoneye_eye::retina::{CellWalls, DensityLaw, Dropout, Generator};
 use photoneye_proto::{FieldError, v1};
 
 pub use eye::DEFAULT_EYE;
 pub use read::field_error;
 use read::{choice, in_range, needed, number};
+
+/// Cones that are computed again when nothing is said.
+const AUDIT_CONES: u32 = 6;
 
 /// The model's experiment.
 ///
@@ -37,6 +41,8 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
         gaze,
         counts: counts(spec.counts.as_ref())?,
         accuracy_target: number(spec.accuracy.as_ref().and_then(|accuracy| accuracy.target), 0.001),
+        audit_cones: spec.accuracy.as_ref().and_then(|a| a.audit_cones).unwrap_or(AUDIT_CONES),
+        computed_anyway: computed_anyway(spec.accuracy.as_ref())?,
         frames,
     };
     experiment.validate().map_err(field_error)?;
@@ -130,6 +136,25 @@ fn cone_ratio(spec: v1::ConeRatio) -> Result<[f64; 3], FieldError> {
     Ok(shares.map(|share| share / scale))
 }
 
+/// Omissions that are not made, in the order of the rules.
+fn computed_anyway(spec: Option<&v1::Accuracy>) -> Result<Vec<Rule>, FieldError> {
+    let Some(spec) = spec else { return Ok(Vec::new()) };
+    if spec.omissions == Some(false) {
+        return Ok(Rule::ALL.to_vec());
+    }
+    let mut rules = Vec::new();
+    for (i, number) in spec.computed_anyway.iter().enumerate() {
+        let rule = usize::try_from(*number).ok().and_then(|number| Rule::ALL.get(number));
+        rules.push(*rule.ok_or_else(|| {
+            let field = format!("accuracy.computed_anyway[{i}]");
+            FieldError::new(&field, format!("{number} is unknown, allowed is 0 to {}", Rule::ALL.len() - 1))
+        })?);
+    }
+    rules.sort_unstable();
+    rules.dedup();
+    Ok(rules)
+}
+
 fn is_auto(spec: Option<&v1::Counts>) -> bool {
     spec.is_none_or(|counts| counts.engine() == v1::counts::Engine::Auto)
 }
@@ -156,6 +181,16 @@ fn counts(spec: Option<&v1::Counts>) -> Result<Counts, FieldError> {
         seed: spec.seed.unwrap_or(1),
         photon_list: spec.photon_list.unwrap_or(false),
         wavelength_step_nm: settings.wavelength_step_nm,
+        knobs: Knobs {
+            basis_tolerance: settings.basis_tolerance,
+            band_loss: settings.band_loss,
+            guard_um: settings.guard_um,
+            spread_width: settings.spread_width,
+            oversampling: settings.oversampling,
+            field_nodes: settings.field_nodes,
+            ecc_nodes: settings.ecc_nodes,
+            double_precision: settings.double_precision,
+        },
         paper: PaperSettings {
             rays: settings.paper_rays.unwrap_or(paper.rays),
             samples: settings.paper_samples.unwrap_or(paper.samples),

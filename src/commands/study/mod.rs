@@ -5,8 +5,9 @@ mod error_time;
 mod figures;
 mod optics;
 mod page;
+mod prediction;
 mod retina;
-mod scene;
+pub mod scene;
 mod stability;
 
 use super::Context;
@@ -36,9 +37,9 @@ impl Task {
 
 /// Runs the command.
 pub fn run(context: &Context, args: &StudyArgs) -> Result<(), Failure> {
-    let takes_spec = args.topic == StudyTopic::ErrorVsTime;
+    let takes_spec = matches!(args.topic, StudyTopic::ErrorVsTime | StudyTopic::Prediction);
     if !takes_spec && (args.spec.is_some() || !args.set.is_empty()) {
-        return Err(Failure::usage("--spec and --set: allowed with error-vs-time"));
+        return Err(Failure::usage("--spec and --set: allowed with error-vs-time and prediction"));
     }
     std::fs::create_dir_all(&args.out).map_err(|e| Failure::file("make", &args.out, &e))?;
     let mut task = Task { quick: args.quick, progress: Progress::new(context.json) };
@@ -49,6 +50,7 @@ pub fn run(context: &Context, args: &StudyArgs) -> Result<(), Failure> {
         StudyTopic::Figures => figures::study(&mut task, &mut page),
         StudyTopic::Retina => retina::study(&mut task, &mut page),
         StudyTopic::ErrorVsTime => error_time::study(&mut task, args, &mut page),
+        StudyTopic::Prediction => prediction::study(&mut task, args, &mut page),
         StudyTopic::Stability => {
             let (failed, all) = stability::study(&mut task, &mut page);
             if failed > 0 {

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use photoneye_eye::artifact::{ArtifactSpec, Input};
 use photoneye_eye::digest::Digest;
 use photoneye_eye::experiment::Experiment;
-use photoneye_eye::exposure::{Exposure, FrameCounts};
-use photoneye_eye::plan::plan;
+use photoneye_eye::exposure::{AuditSample, Exposure, FrameCounts};
+use photoneye_eye::plan::{Stages, plan};
 use photoneye_eye::report::PhotonBudget;
 use photoneye_eye::video::Picture;
 use serde_json::{Value, json};
@@ -56,14 +56,10 @@ pub struct Outcome {
     pub counts: Vec<f64>,
     /// Fates of the photons of all frames.
     pub budget: PhotonBudget,
-    /// CPU seconds for the mosaic (0 when it was there already).
-    pub mosaic_s: f64,
-    /// CPU seconds for the optics.
-    pub optics_s: f64,
-    /// CPU seconds to prepare the scene.
-    pub prepare_s: f64,
-    /// CPU seconds for the frames.
-    pub frames_s: f64,
+    /// CPU seconds; none for a mosaic that was there already.
+    pub stages: Stages,
+    /// Cones that were computed again.
+    pub audit: Vec<AuditSample>,
 }
 
 /// Runs experiments; mosaics are kept from one to the next.
@@ -79,7 +75,7 @@ impl Runner {
     /// What the planner or the model refuses.
     pub fn run(&mut self, experiment: &Experiment, pictures: &[Picture]) -> Result<Outcome, String> {
         let plan = plan(experiment).map_err(|e| e.to_string())?;
-        let (mut mosaic_s, mut optics_s) = (0.0, 0.0);
+        let mut stages = Stages::default();
         let mut optics: BTreeMap<Digest, Vec<u8>> = BTreeMap::new();
         for artifact in &plan.artifacts {
             if self.kept.contains_key(&artifact.key) {
@@ -95,17 +91,11 @@ impl Runner {
                 let inputs = inputs.ok_or("the plan names an artifact before its inputs")?;
                 artifact.spec.build(&inputs).map_err(|e| e.to_string())?.bytes
             };
-            *(if is_mosaic { &mut mosaic_s } else { &mut optics_s }) += watch.seconds();
+            *(if is_mosaic { &mut stages.mosaic } else { &mut stages.optics }) += watch.seconds();
             (if is_mosaic { &mut self.kept } else { &mut optics }).insert(artifact.key, built);
         }
-        let mut outcome = Outcome {
-            counts: Vec::new(),
-            budget: PhotonBudget::default(),
-            mosaic_s,
-            optics_s,
-            prepare_s: 0.0,
-            frames_s: 0.0,
-        };
+        let mut outcome =
+            Outcome { counts: Vec::new(), budget: PhotonBudget::default(), stages, audit: Vec::new() };
         for keys in &plan.tile_artifacts {
             let bytes: Vec<&[u8]> = keys
                 .iter()
@@ -127,13 +117,17 @@ impl Outcome {
     ) -> Result<(), String> {
         let watch = Stopwatch::start();
         let exposure = Exposure::new(experiment, artifacts).map_err(|e| e.to_string())?;
-        self.prepare_s += watch.seconds();
+        self.stages.prepare += watch.seconds();
         let first = self.counts.len();
         self.counts.resize(first + exposure.len(), 0.0);
-        let watch = Stopwatch::start();
         for index in 0..experiment.frames {
+            let watch = Stopwatch::start();
             let picture = pictures.get(index as usize).or(pictures.last());
             let frame = exposure.frame(index, picture).map_err(|e| e.to_string())?;
+            self.stages.frames += watch.seconds();
+            let watch = Stopwatch::start();
+            self.audit.extend(exposure.audit(index, picture, &[], &frame).map_err(|e| e.to_string())?);
+            self.stages.audit += watch.seconds();
             let sums = self.counts[first..].iter_mut();
             match frame.counts {
                 FrameCounts::Counts(counts) => sums.zip(counts).for_each(|(s, c)| *s += f64::from(c)),
@@ -141,7 +135,6 @@ impl Outcome {
             }
             self.budget.add(&frame.budget);
         }
-        self.frames_s += watch.seconds();
         Ok(())
     }
 }
@@ -165,7 +158,7 @@ mod tests {
         let mut runner = Runner::default();
         let first = runner.run(&experiment, &[]).unwrap();
         let again = runner.run(&experiment, &[]).unwrap();
-        assert!(first.counts == again.counts && first.mosaic_s > 0.0);
+        assert!(first.counts == again.counts && first.stages.mosaic > 0.0);
         assert!((first.budget.fates() / first.budget.emitted - 1.0).abs() < 1e-9);
         assert_eq!(l1(&first.counts, &again.counts), Some(0.0));
     }

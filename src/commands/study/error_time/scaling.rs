@@ -32,15 +32,16 @@ pub fn study(task: &mut Task, page: &mut Page) -> Result<(), Failure> {
     let mut charts = Vec::new();
     for quantity in quantities(task) {
         task.say(&format!("growth with {}", quantity.name));
-        let mut curves = vec![Vec::new(); 4];
+        let mut curves = vec![Vec::new(); 5];
         // The mosaic is the same but where its own time is asked for.
         let mut runner = Runner::default();
         for (value, spec) in &quantity.runs {
             let mut e = experiment(spec).map_err(Failure::failed)?;
-            for engine in [Engine::Expected, Engine::Paper] {
+            for engine in [Engine::Expected, Engine::Paper, Engine::Events] {
                 e.counts.engine = engine;
                 e.counts.poisson = true;
-                if engine == Engine::Paper
+                e.audit_cones = 0;
+                if engine != Engine::Expected
                     && plan(&e).map_err(Failure::failed)?.predicted_seconds > task.pick(30.0, 3.0)
                 {
                     continue;
@@ -51,25 +52,29 @@ pub fn study(task: &mut Task, page: &mut Page) -> Result<(), Failure> {
                 let o = runner.run(&e, &[]).map_err(Failure::failed)?;
                 let cones = o.counts.len();
                 let x = if *value > 0.0 { *value } else { cones as f64 };
-                let name = if engine == Engine::Paper { "PAPER" } else { "EXPECTED" };
+                let name = match engine {
+                    Engine::Paper => "PAPER",
+                    Engine::Events => "EVENTS",
+                    Engine::Expected => "EXPECTED",
+                };
                 table.push(row![
                     quantity.name,
                     x,
                     name,
                     cones,
-                    o.mosaic_s,
-                    o.optics_s,
-                    o.prepare_s,
-                    o.frames_s
+                    o.stages.mosaic,
+                    o.stages.optics,
+                    o.stages.prepare,
+                    o.stages.frames
                 ]);
-                if engine == Engine::Paper {
-                    curves[3].push((x, o.frames_s));
+                if engine != Engine::Expected {
+                    curves[if engine == Engine::Paper { 3 } else { 4 }].push((x, o.stages.frames));
                 } else {
-                    if o.mosaic_s > 0.0 {
-                        curves[0].push((x, o.mosaic_s));
+                    if o.stages.mosaic > 0.0 {
+                        curves[0].push((x, o.stages.mosaic));
                     }
-                    curves[1].push((x, o.optics_s + o.prepare_s));
-                    curves[2].push((x, o.frames_s));
+                    curves[1].push((x, o.stages.optics + o.stages.prepare));
+                    curves[2].push((x, o.stages.frames));
                 }
             }
         }
@@ -87,7 +92,7 @@ pub fn study(task: &mut Task, page: &mut Page) -> Result<(), Failure> {
 
 /// One panel: seconds of each stage.
 fn chart(quantity: &Quantity, curves: Vec<Vec<(f64, f64)>>) -> Chart {
-    let names = ["mosaic", "optics, preparation", "frames", "frames, engine PAPER"];
+    let names = ["mosaic", "optics, preparation", "frames", "frames, engine PAPER", "frames, engine EVENTS"];
     Chart {
         title: format!("Growth with {}", quantity.name),
         x: Axis::log(quantity.axis),

@@ -38,6 +38,8 @@ pub fn all(quick: bool) -> Result<Vec<Scene>, String> {
                 "pupil 6 mm, one line at 555 nm",
                 with(base(), &[("eye.pupil_mm", json!(6)), ("display.primaries", line)]),
             ),
+            ("Figure 12, a face's size", figure_12()),
+            ("Figure 13, upper half", figure_13()),
             (
                 "one lit pixel",
                 with(
@@ -54,4 +56,21 @@ pub fn all(quick: bool) -> Result<Vec<Scene>, String> {
             Ok(Scene { name: name.into(), experiment, pictures: Vec::new() })
         })
         .collect()
+}
+
+/// The display of Figure 12 with squares of one pixel.
+fn figure_12() -> Value {
+    let drift = json!({"drift": {"speed_arcmin_per_s": 6, "direction_deg": 30}});
+    with(standard(30, 1), &[("gaze.movement", drift)])
+}
+
+/// The upper, monochromatic half of Figure 13.
+fn figure_13() -> Value {
+    let line = json!([{"name": "white", "spectrum": {"line": {"nm": 543, "fwhm_nm": 1}}}]);
+    json!({
+        "eye": {"pupil_mm": 3, "focus": {"distance_cm": 50, "wavelength_nm": 543}},
+        "display": {"preset": "printout-1200dpi", "white_luminance_cd_m2": 270.6, "primaries": line},
+        "video": {"pattern": {"sloan_chart": {"layout": "PAPER"}}},
+        "counts": {"engine": "EXPECTED", "noise": "NONE", "seed": 13},
+    })
 }

@@ -74,13 +74,20 @@ fn right() -> Vec<(&'static str, Vec<(&'static str, Value)>)> {
             "one lit pixel of 1e7 cd/m² on black",
             vec![("video", point), ("display.white_luminance_cd_m2", json!(1e7))],
         ),
+        (
+            "one pixel 1e7 times as bright as the rest",
+            vec![
+                ("video", json!({"pattern": {"point": {"at_px": [4, 4], "rgb": [1, 1, 1]}}})),
+                ("display.contrast", json!(1e7)),
+            ],
+        ),
         ("pixels of 0.004 arcmin", vec![("display.pixel_pitch_cm", json!(0.001))]),
         ("pixels of 260 arcmin", vec![("display.pixel_pitch_cm", json!(60))]),
+        ("pixels of 600 arcmin", vec![("display.pixel_pitch_cm", json!(140))]),
         (
             "no drop of pigment",
             vec![("eye.macular_peak_density", json!(0)), ("eye.lens_density_scale", json!(0))],
         ),
-        ("accuracy 1e-5", vec![("accuracy.target", json!(1e-5))]),
     ]
 }
 
@@ -147,6 +154,36 @@ pub fn cases(cases: &mut Cases) {
         sums(runner, &[("display.white_luminance_cd_m2", json!(1e7))])
     });
     cases.add(GROUP, "doubled light doubles the means", || doubled(runner));
+    let point = json!({"pattern": {"point": {"at_px": [4, 4], "rgb": [1, 1, 1]}}});
+    let drift = json!({"drift": {"speed_arcmin_per_s": 600, "direction_deg": 30}});
+    let scenes: [(&str, Vec<(&str, Value)>); 4] = [
+        ("squares", vec![]),
+        ("one pixel 1e7 times as bright", vec![("video", point), ("display.contrast", json!(1e7))]),
+        ("a moving eye", vec![("gaze.movement", drift)]),
+        ("6 mm of pupil", vec![("eye.pupil_mm", json!(6))]),
+    ];
+    for (name, changes) in scenes {
+        let name = format!("single against double precision: {name}");
+        cases.add(GROUP, &name, || precision(runner, &changes));
+    }
+    cases.add(GROUP, "an accuracy of 1e-5 is computed or refused with the best there is", || {
+        match run(runner, &with(small(), &[("accuracy.target", json!(1e-5))])) {
+            Ok(outcome) => Ok(whole(&outcome)),
+            Err(why) => {
+                let named = why.contains("accuracy.target") && why.contains("to 0.2");
+                Ok(Found::new(why, if named { 0.0 } else { 1.0 }, 0.0))
+            }
+        }
+    });
+    cases.add(GROUP, "pixels of 0.001 arcmin are computed or refused by name", || {
+        match run(runner, &with(small(), &[("display.pixel_pitch_cm", json!(2.33e-4))])) {
+            Ok(outcome) => Ok(whole(&outcome)),
+            Err(why) => {
+                let named = why.contains("display.pixel_pitch_cm") || why.contains("retina.region_deg");
+                Ok(Found::new(why, if named { 0.0 } else { 1.0 }, 0.0))
+            }
+        }
+    });
 }
 
 fn run(runner: &mut Runner, spec: &Value) -> Result<Outcome, String> {
@@ -201,4 +238,18 @@ fn doubled(runner: &mut Runner) -> Result<Found, String> {
     let most = one.counts.iter().copied().fold(0.0, f64::max);
     let off = one.counts.iter().zip(&two.counts).map(|(a, b)| (b - 2.0 * a).abs()).fold(0.0, f64::max);
     Ok(Found::new("largest difference / largest mean (f32 results)", off / most, 1e-6))
+}
+
+/// Images in single precision against double: L1 over cones, and the largest error against the brightest cone.
+fn precision(runner: &mut Runner, changes: &[(&str, Value)]) -> Result<Found, String> {
+    let of = |runner: &mut Runner, double: bool| {
+        let double = [("counts.settings.double_precision", json!(double))];
+        run(runner, &with(with(small(), changes), &double))
+    };
+    let (single, double) = (of(runner, false)?.counts, of(runner, true)?.counts);
+    let brightest = double.iter().copied().fold(0.0, f64::max);
+    let off = || single.iter().zip(&double).map(|(a, b)| (a - b).abs());
+    let most = off().fold(0.0, f64::max) / brightest;
+    let l1 = off().sum::<f64>() / double.iter().sum::<f64>();
+    Ok(Found::new(format!("L1 error; against the brightest cone at most {most:.1e}"), l1.max(most), 1e-5))
 }

@@ -1,0 +1,51 @@
+//! Which primaries a video lights at all. Known before anything is computed for drawn patterns; an uploaded clip may light them all.
+
+use super::Rule;
+use crate::display::{Channel, Place};
+use crate::experiment::{Experiment, Video};
+use crate::spectrum::Spectrum;
+use crate::video::draw;
+
+/// A larger picture is not looked at: planning takes milliseconds.
+const MOST_PIXELS: u64 = 200_000;
+
+/// By primary: whether any pixel of the video lights it.
+pub fn primaries(experiment: &Experiment) -> Vec<bool> {
+    let display = &experiment.display;
+    let all = vec![true; display.primaries.len()];
+    let pixels = u64::from(display.width_px) * u64::from(display.height_px);
+    let Video::Pattern(pattern) = &experiment.video else { return all };
+    if !Rule::UnlitPrimaries.applies(experiment)
+        || display.black > 0.0
+        || pixels > MOST_PIXELS
+        || all.len() < 2
+    {
+        return all;
+    }
+    let picture = draw(pattern, display, &experiment.gaze);
+    let place = Place { column: 0, row: 0, frame: 0 };
+    // Dither may light a dark value in some frame: only a value of 0 is dark in all.
+    let lights = |channel: Channel| {
+        channel == Channel::Room
+            || picture.rgb.chunks_exact(3).any(|rgb| match channel {
+                Channel::Red => rgb[0] > 0.0,
+                Channel::Green => rgb[1] > 0.0,
+                Channel::Blue => rgb[2] > 0.0,
+                Channel::White | Channel::Room => rgb.iter().any(|v| *v > 0.0),
+            })
+            || display.driven(channel, &[0.0; 3], place) > 0.0
+    };
+    let lit: Vec<bool> = display.primaries.iter().map(|p| lights(p.channel)).collect();
+    if lit.contains(&true) { lit } else { all }
+}
+
+/// The spectra for which kernels are made: an unlit primary, whose kernel is multiplied by nothing, has that of the first lit one.
+pub fn spectra(experiment: &Experiment) -> Vec<Spectrum> {
+    let lit = primaries(experiment);
+    let all = &experiment.display.primaries;
+    let stand_in = lit.iter().position(|lit| *lit).unwrap_or(0);
+    all.iter()
+        .zip(&lit)
+        .map(|(p, lit)| if *lit { &p.spectrum } else { &all[stand_in].spectrum }.clone())
+        .collect()
+}

@@ -1,0 +1,129 @@
+//! The numerical settings of `expected`: what an accuracy target asks for, or what is fixed by hand. The only place where they are chosen;
+//! docs/adr/0007 has the measurements.
+
+use serde::{Deserialize, Serialize};
+
+use super::Rule;
+use crate::experiment::{Experiment, RangeError, check_range};
+
+/// Settings fixed by hand; those that are not given follow from the accuracy target.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Knobs {
+    /// Error of the low-rank basis in its own norm.
+    pub basis_tolerance: Option<f64>,
+    /// Light above the highest frequency that is kept, L2, see [`super::band`].
+    pub band_loss: Option<f64>,
+    /// Distance between a cone and the nearest copy of the picture, µm.
+    pub guard_um: Option<f64>,
+    /// Width of the spreading kernel, samples.
+    pub spread_width: Option<u32>,
+    /// Samples per two cycles of the highest frequency.
+    pub oversampling: Option<f64>,
+    /// Points of the field along each side of a tile.
+    pub field_nodes: Option<u32>,
+    /// Points along eccentricity.
+    pub ecc_nodes: Option<u32>,
+    /// Whether images are transformed in double precision.
+    pub double_precision: Option<bool>,
+}
+
+impl Knobs {
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// The first field that is out of range.
+    pub fn validate(&self) -> Result<(), RangeError> {
+        let check = |name: &str, value: Option<f64>, min: f64, max: f64| {
+            value.map_or(Ok(()), |v| check_range(&format!("counts.settings.{name}"), v, min, max))
+        };
+        check("basis_tolerance", self.basis_tolerance, 1e-9, 0.5)?;
+        check("band_loss", self.band_loss, 0.0, 0.5)?;
+        check("guard_um", self.guard_um, 10.0, 5000.0)?;
+        check("spread_width", self.spread_width.map(f64::from), 2.0, 16.0)?;
+        check("oversampling", self.oversampling, 1.02, 4.0)?;
+        check("field_nodes", self.field_nodes.map(f64::from), 1.0, 12.0)?;
+        check("ecc_nodes", self.ecc_nodes.map(f64::from), 1.0, 12.0)
+    }
+}
+
+/// Every setting.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Numerics {
+    /// Spacing of wavelengths, nm.
+    pub wavelength_step_nm: f64,
+    /// Share of a cone type's catch that may lie beyond the wavelengths computed.
+    pub wavelength_tail: f64,
+    /// As in [`Knobs`].
+    pub basis_tolerance: f64,
+    /// As in [`Knobs`].
+    pub band_loss: f64,
+    /// As in [`Knobs`].
+    pub guard_um: f64,
+    /// As in [`Knobs`].
+    pub spread_width: usize,
+    /// As in [`Knobs`].
+    pub oversampling: f64,
+    /// Points of the field more than the size of a tile asks for.
+    pub finer_field: u32,
+    /// As in [`Knobs`].
+    pub ecc_nodes: u32,
+    /// A type of cone that catches less than this share of what the best one does is not computed.
+    pub blind_below: f64,
+    /// Whether images are transformed in single precision (relative error about 1e-6 of the brightest).
+    pub single: bool,
+}
+
+/// Share of the target that wavelengths left out may take.
+const WAVELENGTH_TAIL: f64 = 0.01;
+/// Error of the low-rank basis in its own norm, per accuracy target; the means move by up to three times as much (L1, one lit pixel of a small
+/// display, found by the audit: 0.8 gave 2.6 times the target).
+const BASIS_SHARE: f64 = 0.1;
+/// Catch of a type of cone that is not computed, per accuracy target.
+pub const BLIND: f64 = 1e-3;
+/// Loss above the band per accuracy target.
+const LOSS: f64 = 0.2;
+
+impl Numerics {
+    /// The settings of an experiment.
+    pub fn new(experiment: &Experiment) -> Self {
+        let (target, knobs) = (experiment.accuracy_target, &experiment.counts.knobs);
+        // One of three values: coarse, usual, fine.
+        let (coarse, usual) = (target >= 5e-3, target >= 5e-4);
+        let fine = target >= 5e-5;
+        Self {
+            wavelength_step_nm: experiment.counts.wavelength_step_nm.unwrap_or(if usual {
+                10.0
+            } else if fine {
+                5.0
+            } else {
+                2.5
+            }),
+            wavelength_tail: WAVELENGTH_TAIL * target,
+            basis_tolerance: knobs.basis_tolerance.unwrap_or(BASIS_SHARE * target),
+            band_loss: knobs.band_loss.unwrap_or(LOSS * target),
+            // Light of the copies that comes from farther is taken away by the law of the spread's tail.
+            guard_um: knobs.guard_um.unwrap_or(if usual {
+                150.0
+            } else if fine {
+                300.0
+            } else {
+                600.0
+            }),
+            spread_width: knobs.spread_width.map_or(
+                if usual {
+                    6
+                } else if fine {
+                    8
+                } else {
+                    10
+                },
+                |w| w as usize,
+            ),
+            oversampling: knobs.oversampling.unwrap_or(if usual { 1.12 } else { 1.25 }),
+            finer_field: u32::from(!coarse) + u32::from(!usual),
+            ecc_nodes: knobs.ecc_nodes.unwrap_or(if usual { 3 } else { 4 }),
+            blind_below: if Rule::BlindTypes.applies(experiment) { BLIND * target } else { 0.0 },
+            single: !knobs.double_precision.unwrap_or(!usual),
+        }
+    }
+}
