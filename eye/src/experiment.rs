@@ -5,10 +5,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::plan::{Knobs, Rule};
 use crate::digest::{Digest, digest_of};
 use crate::display::Display;
 use crate::optics::{Dispersion, OpticsError, Prescription, Side};
+use crate::plan::{Knobs, Rule};
 use crate::retina::{
     CellWalls, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry, RetinaParams,
 };

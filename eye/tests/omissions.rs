@@ -1,6 +1,11 @@
 //! Each omission switched off: the means move by less than its bound, and by less than rounding where the bound is 0.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests fail by panicking and print what they measured")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests fail by panicking and print what they measured"
+)]
 
 mod support;
 
@@ -43,7 +48,12 @@ fn means(experiment: &Experiment) -> BTreeMap<u64, f64> {
 /// The omission's bound in the plan, and the L1 change of the means, over the cones of the plan that makes it, when it is not made.
 fn changed(experiment: &Experiment, rule: Rule, what: &str) -> (f64, f64) {
     let with = plan(experiment).unwrap();
-    let bound = with.omissions.iter().find(|o| o.what == what).unwrap_or_else(|| panic!("{what}: {:?}", with.omissions)).bound;
+    let bound = with
+        .omissions
+        .iter()
+        .find(|o| o.what == what)
+        .unwrap_or_else(|| panic!("{what}: {:?}", with.omissions))
+        .bound;
     let without = Experiment { computed_anyway: vec![rule], ..experiment.clone() };
     let listed = plan(&without).unwrap().omissions;
     assert!(listed.iter().all(|o| o.what != what), "{what} is still listed");
@@ -104,8 +114,11 @@ fn pigments_in_the_periphery() {
 fn primaries_that_nothing_lights() {
     let mut e = scene();
     let line = |nm| Spectrum::Line { nm, fwhm_nm: 0.0 };
-    e.display.primaries =
-        vec![primary(Channel::Red, line(630.0)), primary(Channel::Green, line(532.0)), primary(Channel::Blue, line(465.0))];
+    e.display.primaries = vec![
+        primary(Channel::Red, line(630.0)),
+        primary(Channel::Green, line(532.0)),
+        primary(Channel::Blue, line(465.0)),
+    ];
     e.video = photoneye_eye::experiment::Video::Pattern(Pattern::Uniform { rgb: [0.0, 1.0, 0.0] });
     assert_eq!(plan(&e).unwrap().wavelengths_nm, vec![532.0]);
     holds(&e, Rule::UnlitPrimaries, "optics of primaries that nothing lights");

@@ -19,7 +19,10 @@ pub fn plan(plan: &Plan, cached: impl Fn(&str) -> bool) -> v1::Plan {
     let there = plan.artifacts.iter().filter(|artifact| cached(&artifact.key.to_string())).count();
     let made = (there > 0).then(|| v1::Omission {
         what: Some("artifacts that are there already".to_owned()),
-        why: Some(format!("{there} of {} were built before, under the hash of the same inputs", plan.artifacts.len())),
+        why: Some(format!(
+            "{there} of {} were built before, under the hash of the same inputs",
+            plan.artifacts.len()
+        )),
         bound: Some(0.0),
     });
     let omissions = plan.omissions.iter().map(|omission| v1::Omission {

@@ -9,8 +9,8 @@ use super::Context;
 use super::study::scene::{Runner, experiment, standard, with};
 use crate::cli_study::CalibrateArgs;
 use crate::failure::Failure;
-use crate::progress::Progress;
 use crate::output;
+use crate::progress::Progress;
 use crate::result_folder::write_file;
 
 /// Runs the command.

@@ -226,11 +226,14 @@ fn seeing(kernels: &Kernels, cones: &ConeTable, blind_below: f64) -> [bool; KIND
         let Some(cone) = cones.cones.iter().find(|c| c.cone_type as usize == kind) else { return 0.0 };
         let own = kernels.coefficients(kind, cone.um, cone.ecc_deg);
         let primaries = 0..kernels.spec().primaries.len();
-        let of = |p: usize| own.iter().enumerate().map(|(r, c)| c * kernels.table(kind, r, p)[0].re).sum::<f64>();
+        let of =
+            |p: usize| own.iter().enumerate().map(|(r, c)| c * kernels.table(kind, r, p)[0].re).sum::<f64>();
         primaries.map(of).fold(0.0, f64::max)
     });
     let best = catches.into_iter().fold(0.0, f64::max);
-    std::array::from_fn(|kind| kind == ARRIVING || (catches[kind] > 0.0 && catches[kind] >= blind_below * best))
+    std::array::from_fn(|kind| {
+        kind == ARRIVING || (catches[kind] > 0.0 && catches[kind] >= blind_below * best)
+    })
 }
 
 /// Every basis kernel of the seeing kinds on the kept frequencies.

@@ -69,7 +69,16 @@ impl Inputs {
             gaze,
             display,
         };
-        Ok(Self { retina, kernels, projection, scene, first_tile, tile: tiles.map(|n| n as u32), pointing, projector })
+        Ok(Self {
+            retina,
+            kernels,
+            projection,
+            scene,
+            first_tile,
+            tile: tiles.map(|n| n as u32),
+            pointing,
+            projector,
+        })
     }
 }
 

@@ -11,8 +11,8 @@ use std::f64::consts::{FRAC_PI_4, PI};
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::{Numerics, PlanError, Rule};
 use super::setup::{Setup, UM_PER_TANGENT, cutoff};
+use super::{Numerics, PlanError, Rule};
 use crate::display::photon_shares;
 use crate::experiment::Experiment;
 use crate::exposure::transfer::{FieldPoint, wavefronts};
@@ -101,7 +101,8 @@ pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> Result
     let pixel = pixel * display.pixel_pitch_cm / display.distance_cm;
     let aperture = (aperture_um2 / FRAC_PI_4).sqrt() / UM_PER_TANGENT;
     let moduli = setup.moduli.get_or_init(|| Moduli::new(experiment, setup));
-    let modulus = moduli.as_ref().map_err(|e| PlanError::Model(e.clone()))?.at(0.5 * (region.min + region.max));
+    let modulus =
+        moduli.as_ref().map_err(|e| PlanError::Model(e.clone()))?.at(0.5 * (region.min + region.max));
     let loss = Numerics::new(experiment).band_loss;
     let part = |i: u32| {
         let x = (f64::from(i) + 0.5) / f64::from(STEPS);

@@ -183,7 +183,11 @@ fn kernel_cost(experiment: &Experiment, kernels: &KernelSpec) -> KernelCost {
     let (primaries, table) = (kernels.primaries.len() as f64, shape.len() as f64 * 16.0);
     // A table a wavelength and point; then one a kind, place and primary.
     let places = KINDS.len() as f64 * points * f64::from(kernels.ecc_nodes) * primaries;
-    KernelCost { seconds, bytes: IMAGES * primaries * table, build_bytes: 0.85 * table * (transfers + places) }
+    KernelCost {
+        seconds,
+        bytes: IMAGES * primaries * table,
+        build_bytes: 0.85 * table * (transfers + places),
+    }
 }
 
 /// Cones of the mosaic's tiles, which are whole.

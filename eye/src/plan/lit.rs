@@ -15,7 +15,11 @@ pub fn primaries(experiment: &Experiment) -> Vec<bool> {
     let all = vec![true; display.primaries.len()];
     let pixels = u64::from(display.width_px) * u64::from(display.height_px);
     let Video::Pattern(pattern) = &experiment.video else { return all };
-    if !Rule::UnlitPrimaries.applies(experiment) || display.black > 0.0 || pixels > MOST_PIXELS || all.len() < 2 {
+    if !Rule::UnlitPrimaries.applies(experiment)
+        || display.black > 0.0
+        || pixels > MOST_PIXELS
+        || all.len() < 2
+    {
         return all;
     }
     let picture = draw(pattern, display, &experiment.gaze);
@@ -40,5 +44,8 @@ pub fn spectra(experiment: &Experiment) -> Vec<Spectrum> {
     let lit = primaries(experiment);
     let all = &experiment.display.primaries;
     let stand_in = lit.iter().position(|lit| *lit).unwrap_or(0);
-    all.iter().zip(&lit).map(|(p, lit)| if *lit { &p.spectrum } else { &all[stand_in].spectrum }.clone()).collect()
+    all.iter()
+        .zip(&lit)
+        .map(|(p, lit)| if *lit { &p.spectrum } else { &all[stand_in].spectrum }.clone())
+        .collect()
 }

@@ -110,7 +110,16 @@ impl Numerics {
             } else {
                 600.0 * farther
             }),
-            spread_width: knobs.spread_width.map_or(if usual { 6 } else if fine { 8 } else { 10 }, |w| w as usize),
+            spread_width: knobs.spread_width.map_or(
+                if usual {
+                    6
+                } else if fine {
+                    8
+                } else {
+                    10
+                },
+                |w| w as usize,
+            ),
             oversampling: knobs.oversampling.unwrap_or(if usual { 1.12 } else { 1.25 }),
             finer_field: u32::from(!coarse) + u32::from(!usual),
             ecc_nodes: knobs.ecc_nodes.unwrap_or(if usual { 3 } else { 4 }),

@@ -6,8 +6,8 @@ use std::sync::OnceLock;
 
 use glam::DVec2;
 
-use super::{Numerics, PlanError, Rule};
 use super::band::{Moduli, band};
+use super::{Numerics, PlanError, Rule};
 use crate::experiment::{Engine, Experiment, MAX_REGION_DEG, RangeError};
 use crate::exposure::scene::{MAX_GRID, Scene, SceneNeeds};
 use crate::movement::Gaze;
@@ -79,7 +79,19 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     }
     let retina = retina_params(experiment, &prescription, &state)?;
     let mosaic = experiment.retina.mosaic.clone();
-    Ok(Setup { prescription, state, projection, gaze, region, tiles, sight, retina, mosaic, guard_um, moduli: OnceLock::new() })
+    Ok(Setup {
+        prescription,
+        state,
+        projection,
+        gaze,
+        region,
+        tiles,
+        sight,
+        retina,
+        mosaic,
+        guard_um,
+        moduli: OnceLock::new(),
+    })
 }
 
 impl Setup {

@@ -39,8 +39,20 @@ pub fn study(task: &mut Task, args: &StudyArgs, page: &mut Page) -> Result<(), F
     let machine = measure(&mut |what| task.say(what)).map_err(Failure::failed)?;
     page.text(&format!("Factors of this machine: {machine:?}"));
     let columns = [
-        "scene", "cones", "planned in s", "predicted s", "took s", "ratio", "predicted MB", "peak MB", "memory ratio",
-        "target", "estimate", "audit", "bound 95 %", "estimate / audit",
+        "scene",
+        "cones",
+        "planned in s",
+        "predicted s",
+        "took s",
+        "ratio",
+        "predicted MB",
+        "peak MB",
+        "memory ratio",
+        "target",
+        "estimate",
+        "audit",
+        "bound 95 %",
+        "estimate / audit",
     ];
     let mut table = Table::new("prediction", &format!("Foreseen and found, {}", kind()), &columns);
     let mut stages = Table::new(
@@ -53,7 +65,8 @@ pub fn study(task: &mut Task, args: &StudyArgs, page: &mut Page) -> Result<(), F
         task.say(&scene.name);
         all.push(judge(task, &machine, scene, (&mut table, &mut stages))?);
     }
-    let within = |of: &dyn Fn(&Ratios) -> bool| 100.0 * all.iter().filter(|r| of(r)).count() as f64 / all.len() as f64;
+    let within =
+        |of: &dyn Fn(&Ratios) -> bool| 100.0 * all.iter().filter(|r| of(r)).count() as f64 / all.len() as f64;
     let factor = |ratio: f64, most: f64| ratio <= most && ratio >= 1.0 / most;
     page.text(&format!(
         "Seconds within a factor of 2: {:.0} %. Memory within 1.5: {:.0} %. Audit below the target: {:.0} %. Estimate at most 5 times the audit: \
@@ -101,7 +114,8 @@ fn judge(
         found.bound_95.unwrap_or(f64::NAN),
         estimate / error
     ]);
-    let ratio = |of: fn(&Stages) -> f64| format!("{:.3} / {:.3}", of(&plan.predicted_stages), of(&outcome.stages));
+    let ratio =
+        |of: fn(&Stages) -> f64| format!("{:.3} / {:.3}", of(&plan.predicted_stages), of(&outcome.stages));
     by_stage.push(row![
         scene.name,
         ratio(|s| s.mosaic),

@@ -94,12 +94,8 @@ impl Runner {
             *(if is_mosaic { &mut stages.mosaic } else { &mut stages.optics }) += watch.seconds();
             (if is_mosaic { &mut self.kept } else { &mut optics }).insert(artifact.key, built);
         }
-        let mut outcome = Outcome {
-            counts: Vec::new(),
-            budget: PhotonBudget::default(),
-            stages,
-            audit: Vec::new(),
-        };
+        let mut outcome =
+            Outcome { counts: Vec::new(), budget: PhotonBudget::default(), stages, audit: Vec::new() };
         for keys in &plan.tile_artifacts {
             let bytes: Vec<&[u8]> = keys
                 .iter()

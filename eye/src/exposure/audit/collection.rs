@@ -110,7 +110,8 @@ impl Collection {
                 values.iter_mut().zip(image).for_each(|(sum, v)| *sum += weight * v);
             }
             let inner = || REACH..grid.samples - REACH;
-            let inside: f64 = inner().map(|i| inner().map(|j| values[i * grid.samples + j]).sum::<f64>()).sum();
+            let inside: f64 =
+                inner().map(|i| inner().map(|j| values[i * grid.samples + j]).sum::<f64>()).sum();
             let missing = total - inside * grid.pitch_um().powi(2);
             // ∫ r⁻³ over the plane outside of a square of half side R is 4√2/R.
             Spread { values, tail: missing.max(0.0) * inside_um / (4.0 * SQRT_2), total }

@@ -33,7 +33,7 @@ pub struct Cone {
     /// Corners of the aperture, µm.
     pub polygon_um: Vec<DVec2>,
     /// Its type.
-    pub cone_type: ConeType,
+    pub kind: ConeType,
     /// Factor from its pointing error.
     pub pointing: f64,
 }
@@ -101,7 +101,7 @@ pub fn mean(
     let display = &projector.display;
     let tangent = optics.projection.screen_tangent(cone.um).map_err(|e| e.to_string())?;
     let ecc_deg = tangent.length().atan().to_degrees();
-    let kind = Kind::Isomerized(cone.cone_type);
+    let kind = Kind::Isomerized(cone.kind);
     let collection = Collection::new(optics, &projector.emitters, kind, cone.um, ecc_deg)?;
     let mut corners = Vec::with_capacity(cone.polygon_um.len());
     for um in &cone.polygon_um {
@@ -115,7 +115,8 @@ pub fn mean(
         lights,
         collection: collection.over(&aperture),
         per_px: display.pixel_pitch_cm / display.distance_cm,
-        centre_px: DVec2::from_array(experiment.gaze.center_px) + flip(tangent) * display.distance_cm / display.pixel_pitch_cm,
+        centre_px: DVec2::from_array(experiment.gaze.center_px)
+            + flip(tangent) * display.distance_cm / display.pixel_pitch_cm,
     };
     let image: f64 = (0..projector.emitters.len()).map(|primary| sum.primary(primary)).sum();
     let mut mean = image * slant_factor(display.emission_law, optics.projection, tangent);
@@ -157,7 +158,8 @@ impl Sum<'_> {
             if *light <= 0.0 {
                 continue;
             }
-            let first = [index as u32 % lights.columns, index as u32 / lights.columns].map(|n| n * lights.block_px);
+            let first =
+                [index as u32 % lights.columns, index as u32 / lights.columns].map(|n| n * lights.block_px);
             let last = [
                 (first[0] + lights.block_px).min(display.width_px),
                 (first[1] + lights.block_px).min(display.height_px),
@@ -183,7 +185,8 @@ impl Sum<'_> {
         let period_px = self.collection.period_um() / self.px_um();
         let corner = DVec2::new(f64::from(at[0]), f64::from(at[1]));
         // From afar only the mean over several periods matters.
-        let far = (corner + 0.5 - self.lights.sight[primary] - self.centre_px).length() - self.longest_path(primary);
+        let far = (corner + 0.5 - self.lights.sight[primary] - self.centre_px).length()
+            - self.longest_path(primary);
         let follow = if far * self.px_um() > CORE_UM { AFAR * period_px } else { period_px };
         let points = pixel_nodes(emitter, follow);
         let own: Vec<Course>;
@@ -277,7 +280,8 @@ fn times(projector: &Projector, course: &Course, index: u32, period_px: f64) -> 
     let mut nodes = Vec::new();
     for segment in course.segments(&projector.gaze, index, seconds, per_px) {
         let [from, to] = segment.sight;
-        let rule = gauss_legendre(nodes_for((to - from).length(), period_px) + segment.decay.min(60.0) as usize);
+        let rule =
+            gauss_legendre(nodes_for((to - from).length(), period_px) + segment.decay.min(60.0) as usize);
         let falls = |x: f64| (-segment.decay * x).exp();
         let whole: f64 = rule.iter().map(|(u, w)| w * falls(0.5 + 0.5 * u)).sum();
         for (u, w) in rule {

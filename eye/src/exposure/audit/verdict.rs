@@ -31,8 +31,7 @@ pub fn verdict(samples: &[AuditSample], drawn: bool) -> Option<Verdict> {
     if total <= 0.0 {
         return None;
     }
-    let sizes: Vec<f64> =
-        samples.iter().map(|s| (s.value - s.reference).abs() / s.probability).collect();
+    let sizes: Vec<f64> = samples.iter().map(|s| (s.value - s.reference).abs() / s.probability).collect();
     let relative_error = sizes.iter().sum::<f64>() / total;
     let residual = |(x, s): (&f64, &AuditSample)| (x - relative_error * s.total).powi(2);
     let squares: f64 = sizes.iter().zip(samples).map(residual).sum();
@@ -42,7 +41,8 @@ pub fn verdict(samples: &[AuditSample], drawn: bool) -> Option<Verdict> {
         relative_error + t * (squares / degrees as f64 / n).sqrt() / (total / n)
     });
     let by_chance = if drawn {
-        let chance = |s: &AuditSample| (s.reference.max(0.0) * std::f64::consts::FRAC_2_PI).sqrt() / s.probability;
+        let chance =
+            |s: &AuditSample| (s.reference.max(0.0) * std::f64::consts::FRAC_2_PI).sqrt() / s.probability;
         samples.iter().map(chance).sum::<f64>() / total
     } else {
         0.0

@@ -101,7 +101,8 @@ impl Paper {
                 let [px, py] = retina.pointing[i];
                 let cone_type = retina.cone_type[i];
                 Catch {
-                    guided: kernels.throughput() * pointing.as_ref().map_or(1.0, |p| p.factor(f64::from(px).hypot(f64::from(py)))),
+                    guided: kernels.throughput()
+                        * pointing.as_ref().map_or(1.0, |p| p.factor(f64::from(px).hypot(f64::from(py)))),
                     density: std::f64::consts::LN_10
                         * absorbers.pigments.density(cone_type, columns.ecc_deg[i]),
                     cone_type,

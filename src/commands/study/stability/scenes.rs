@@ -76,7 +76,10 @@ fn right() -> Vec<(&'static str, Vec<(&'static str, Value)>)> {
         ),
         (
             "one pixel 1e7 times as bright as the rest",
-            vec![("video", json!({"pattern": {"point": {"at_px": [4, 4], "rgb": [1, 1, 1]}}})), ("display.contrast", json!(1e7))],
+            vec![
+                ("video", json!({"pattern": {"point": {"at_px": [4, 4], "rgb": [1, 1, 1]}}})),
+                ("display.contrast", json!(1e7)),
+            ],
         ),
         ("pixels of 0.004 arcmin", vec![("display.pixel_pitch_cm", json!(0.001))]),
         ("pixels of 260 arcmin", vec![("display.pixel_pitch_cm", json!(60))]),
