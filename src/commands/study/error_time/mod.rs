@@ -52,7 +52,7 @@ const STEP: &str = "wavelength_step_nm";
 const PAPER: &str = "engine PAPER";
 const EVENTS: &str = "engine EVENTS";
 /// An engine that would take longer than so many seconds in a run is left out.
-const PATIENCE_S: [f64; 2] = [60.0, 5.0];
+const PATIENCE_S: [f64; 2] = [60.0, 30.0];
 
 /// A knob of the engine EXPECTED: its values, fine last, and how one is set.
 type Knob = (&'static str, &'static [f64], fn(&mut Knobs, f64));
