@@ -43,6 +43,7 @@ use access::Access;
 use jobs::Machine;
 use jobs::machine::Clock;
 use jobs::sqlite::SqliteStore;
+use photoneye_eye::plan::Machine as Speed;
 use quota::Quota;
 use service::Service;
 
@@ -170,12 +171,12 @@ impl Server {
 pub const MACHINE_FILE: &str = "machine.json";
 
 /// What `photoneye calibrate` found out; without it the machine of the cost model's constants.
-fn speed(folder: &Path) -> photoneye_eye::plan::Machine {
+fn speed(folder: &Path) -> Speed {
     let path = folder.join(MACHINE_FILE);
-    let Ok(text) = std::fs::read_to_string(&path) else { return Default::default() };
+    let Ok(text) = std::fs::read_to_string(&path) else { return Speed::default() };
     serde_json::from_str(&text).unwrap_or_else(|error| {
         tracing::warn!(path = %path.display(), %error, "the calibration cannot be read");
-        Default::default()
+        Speed::default()
     })
 }
 

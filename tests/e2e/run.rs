@@ -44,6 +44,16 @@ fn a_face_becomes_a_result_folder() {
     assert_eq!(shape, [1, cones.len()]);
     assert!(cones.len() > 1000 && counts.iter().any(|&count| count > 0));
     assert!(fs::read(out.join("frames/0000.png")).unwrap().starts_with(b"\x89PNG"));
+    // Six cones were computed again, and what was foreseen stands beside what it took.
+    let report = read_json(&out.join("report.json"));
+    let audit = &report["audit"];
+    assert_eq!(audit["samples"].as_array().unwrap().len(), 6);
+    assert!(audit["within_target"] == true && audit["bound_95"].as_f64().unwrap() < 0.02, "{audit}");
+    assert!(said.contains("Audit"), "{said}");
+    let foreseen = &report["prediction"];
+    let ratio = foreseen["predicted_seconds"].as_f64().unwrap() / foreseen["cpu_seconds"].as_f64().unwrap();
+    // Any machine, any load: only that both are there and of one kind.
+    assert!(ratio > 0.02 && ratio < 50.0, "{foreseen}");
     // Nothing half-written is left beside it.
     assert_eq!(fs::read_dir(place.path().join("out")).unwrap().count(), 1);
 
@@ -90,6 +100,7 @@ fn threads_workers_and_cache_do_not_change_a_byte() {
 
 #[test]
 fn a_plan_lists_what_it_leaves_out_with_bounds() {
+    omissions_can_be_switched_off();
     let place = tempdir().unwrap();
     let said = succeed(photoneye(place.path()).arg("plan").arg(face()).arg("--json"));
     let plan: Value = serde_json::from_str(&said).unwrap();
@@ -178,4 +189,25 @@ fn a_list_of_photons_is_the_counts() {
     let (status, problem) = server.post("/v1/jobs", None, &experiment.to_string());
     assert!(status == 422 || status == 400, "{status}");
     assert!(problem.to_string().contains("counts.photon_list"), "{problem}");
+}
+
+/// Part of [`a_plan_lists_what_it_leaves_out_with_bounds`]: what is switched off is listed no more.
+fn omissions_can_be_switched_off() {
+    let place = tempdir().unwrap();
+    let spec = write_small(place.path(), 1);
+    let omissions = |more: &[&str]| -> Vec<String> {
+        let mut command = photoneye(place.path());
+        command.args(["plan", "--json", spec]).args(more);
+        let plan: Value = serde_json::from_str(&succeed(&mut command)).unwrap();
+        let listed = plan["omissions"].as_array().unwrap();
+        listed.iter().map(|one| one["what"].as_str().unwrap().to_owned()).collect()
+    };
+    let frequencies = "spatial frequencies that blur and apertures average away".to_owned();
+    let field = "points of the field".to_owned();
+    let all = omissions(&[]);
+    assert!(all.contains(&frequencies) && all.contains(&field), "{all:?}");
+    let one = omissions(&["--set", "accuracy.computed_anyway=[\"COARSE_GRIDS\"]"]);
+    assert!(!one.contains(&frequencies) && one.contains(&field), "{one:?}");
+    let none = omissions(&["--set", "accuracy.omissions=false"]);
+    assert!(!none.contains(&frequencies) && !none.contains(&field), "{none:?}");
 }

@@ -47,7 +47,7 @@ pub fn small_experiment(frames: u32) -> Value {
         "video": {"pattern": {"checkerboard": {"square_px": 2}}},
         "retina": {"region_deg": {"x_min": -0.1, "x_max": 0.1, "y_min": -0.1, "y_max": 0.1}},
         "counts": {"seed": 5},
-        "accuracy": {"target": 0.02},
+        "accuracy": {"target": 0.02, "audit_cones": 0},
         "frames": {"count": frames}
     })
 }

@@ -8,7 +8,7 @@ use glam::DVec2;
 
 use super::setup::{UM_PER_TANGENT, cutoff};
 use super::wavelengths::Wavelengths;
-use super::{ErrorPart, Numerics, PlanError, PlannedTile};
+use super::{ErrorPart, Knobs, Numerics, PlanError, PlannedTile};
 use crate::experiment::{Engine, Experiment, Movement, RangeError};
 use crate::exposure::scene::Scene;
 
@@ -29,6 +29,9 @@ const BAND: f64 = 1.0;
 /// Points of a window and of a patch along a side in the sum over copies.
 const GRID: u32 = 8;
 const PLACES: u32 = 3;
+/// Targets that are tried when one is refused, and the coarsest.
+const TRIES: u32 = 12;
+const MOST: f64 = 0.2;
 /// Error of sums in single precision.
 const SINGLE: f64 = 2e-6;
 
@@ -102,19 +105,42 @@ pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wa
     ]
 }
 
-/// Refuses a target that the settings cannot meet, with the best one that can be met.
+/// Whether a target is met by the settings that were chosen for it. Settings by hand and engines that draw photons are not judged.
+pub fn is_met(experiment: &Experiment, parts: &[ErrorPart]) -> bool {
+    let by_hand =
+        experiment.counts.knobs != Knobs::default() || experiment.counts.wavelength_step_nm.is_some();
+    by_hand || experiment.counts.engine != Engine::Expected || total(parts) <= experiment.accuracy_target
+}
+
+/// The whole estimate.
+pub fn total(parts: &[ErrorPart]) -> f64 {
+    parts.iter().map(|p| p.relative).sum()
+}
+
+/// Refuses a target, with the best one that `estimate` says is met. Coarser targets choose coarser settings, so it is looked for.
 ///
 /// # Errors
 /// The target, with the least that is allowed here.
-pub fn check_target(experiment: &Experiment, parts: &[ErrorPart]) -> Result<(), PlanError> {
-    let total: f64 = parts.iter().map(|p| p.relative).sum();
-    let target = experiment.accuracy_target;
-    if experiment.counts.engine != Engine::Expected || total <= target {
-        return Ok(());
+pub fn refuse(
+    experiment: &Experiment,
+    parts: &[ErrorPart],
+    estimate: impl Fn(&Experiment) -> Result<Vec<ErrorPart>, PlanError>,
+) -> Result<(), PlanError> {
+    let mut tried = experiment.clone();
+    let mut needed = total(parts);
+    for _ in 0..TRIES {
+        // Rounded up to two figures.
+        let unit = 10_f64.powf(needed.log10().floor() - 1.0);
+        tried.accuracy_target = (needed / unit).ceil() * unit;
+        if tried.accuracy_target > MOST {
+            break;
+        }
+        let parts = estimate(&tried)?;
+        if is_met(&tried, &parts) {
+            break;
+        }
+        needed = total(&parts);
     }
-    // Rounded up to two figures.
-    let unit = 10_f64.powf(total.log10().floor() - 1.0);
-    let best = (total / unit).ceil() * unit;
-    let allowed = format!("{best:.1e} to 0.2 for this scene");
-    Err(RangeError::new("accuracy.target", target, &allowed).into())
+    let allowed = format!("{:.1e} to {MOST} for this scene", tried.accuracy_target.min(MOST));
+    Err(RangeError::new("accuracy.target", experiment.accuracy_target, &allowed).into())
 }

@@ -153,7 +153,9 @@ pub fn plan_on(experiment: &Experiment, machine: &Machine) -> Result<Plan, PlanE
     let field_nodes = tiles.iter().map(|t| t.kernels.field_nodes.iter().product::<u32>()).sum();
     let grid = tiles.iter().fold([0, 0], |g, t| [g[0].max(t.scene.samples[0]), g[1].max(t.scene.samples[1])]);
     let error_estimate = error::estimate(experiment, &tiles, &wavelengths);
-    error::check_target(experiment, &error_estimate)?;
+    if !error::is_met(experiment, &error_estimate) {
+        error::refuse(experiment, &error_estimate, estimate)?;
+    }
     let omissions = omissions::list(experiment, &setup, &tiles, &wavelengths);
     engine::check_list(experiment, &tiles)?;
     let engine_reason = engine::reason(experiment, &setup, &tiles, cost.cones);
@@ -189,6 +191,14 @@ pub fn plan_on(experiment: &Experiment, machine: &Machine) -> Result<Plan, PlanE
         error_estimate,
         wavelengths_nm: wavelengths.nodes_nm,
     })
+}
+
+/// The error estimate of an experiment.
+fn estimate(experiment: &Experiment) -> Result<Vec<ErrorPart>, PlanError> {
+    let setup = setup::setup(experiment)?;
+    let wavelengths = lit_wavelengths(experiment)?;
+    let tiles = planned_tiles(experiment, &setup, &wavelengths.nodes_nm)?;
+    Ok(error::estimate(experiment, &tiles, &wavelengths))
 }
 
 /// The wavelengths at which an experiment is computed.

@@ -1,5 +1,10 @@
 //! What a scene does not need, with the reason and a bound on the relative error of the mean per cone: one function a rule.
 
+#![allow(
+    clippy::unnecessary_wraps,
+    reason = "all rules have one form, also those that always leave something out"
+)]
+
 use super::rules::Rule;
 use super::setup::{MARGIN_UM, Setup, UM_PER_TANGENT, cutoff};
 use super::wavelengths::Wavelengths;
@@ -22,6 +27,9 @@ struct Look<'a> {
     wavelengths: &'a Wavelengths,
 }
 
+/// Says what is left out, if anything.
+type Tell = fn(&Look) -> Option<Omission>;
+
 /// The omissions of an experiment.
 pub fn list(
     experiment: &Experiment,
@@ -30,7 +38,7 @@ pub fn list(
     wavelengths: &Wavelengths,
 ) -> Vec<Omission> {
     let look = Look { experiment, setup, tiles, wavelengths };
-    let rules: [(Option<Rule>, fn(&Look) -> Option<Omission>); 18] = [
+    let rules: [(Option<Rule>, Tell); 18] = [
         (Some(Rule::ConesOutside), cones_outside),
         (Some(Rule::Wavelengths), dark_wavelengths),
         (Some(Rule::FieldNodes), field_nodes),
@@ -50,14 +58,14 @@ pub fn list(
         (None, directional),
         (None, bleaching),
     ];
-    let made = |(rule, of): &(Option<Rule>, fn(&Look) -> Option<Omission>)| {
+    let made = |(rule, of): &(Option<Rule>, Tell)| {
         if rule.is_none_or(|rule| rule.applies(experiment)) { of(&look) } else { None }
     };
     rules.iter().filter_map(made).chain(stray_light(&look)).chain(reflections(&look)).collect()
 }
 
-fn omission(what: &str, why: &str, bound: f64) -> Option<Omission> {
-    Some(Omission { what: what.into(), why: why.into(), bound })
+fn omission(what: &str, why: &str, bound: f64) -> Omission {
+    Omission { what: what.into(), why: why.into(), bound }
 }
 
 /// The bound is the share of the light that falls on them.
@@ -72,7 +80,7 @@ fn cones_outside(look: &Look) -> Option<Omission> {
     } else {
         0.0
     };
-    omission("cones outside the patch", &why, beyond)
+    Some(omission("cones outside the patch", &why, beyond))
 }
 
 fn dark_wavelengths(look: &Look) -> Option<Omission> {
@@ -86,13 +94,13 @@ fn dark_wavelengths(look: &Look) -> Option<Omission> {
     let why = format!(
         "{range} of 390 to 830 nm is computed at {count} wavelengths; light beyond is kept at the nearest"
     );
-    omission("wavelengths without light that a cone can catch", &why, look.wavelengths.outside)
+    Some(omission("wavelengths without light that a cone can catch", &why, look.wavelengths.outside))
 }
 
 fn field_nodes(look: &Look) -> Option<Omission> {
     let most = look.tiles.iter().map(|t| t.kernels.field_nodes[0]).max()?;
     let why = format!("over a tile the optics change little: {most} points along each side");
-    omission("points of the field", &why, error::field_part(look.tiles))
+    Some(omission("points of the field", &why, error::field_part(look.tiles)))
 }
 
 fn coarse_grids(look: &Look) -> Option<Omission> {
@@ -100,11 +108,11 @@ fn coarse_grids(look: &Look) -> Option<Omission> {
     let kept = band * std::f64::consts::PI / 180.0;
     let why = format!("frequencies up to {kept:.0} cycles per degree are kept, fewer where cones are wide");
     let what = "spatial frequencies that blur and apertures average away";
-    (band < cutoff(look.experiment)).then(|| omission(what, &why, error::band_part(look.experiment)))?
+    (band < cutoff(look.experiment)).then(|| omission(what, &why, error::band_part(look.experiment)))
 }
 
 fn motion(look: &Look) -> Option<Omission> {
-    look.setup.gaze.is_still().then(|| omission("motion blur", "the eye does not move", 0.0))?
+    look.setup.gaze.is_still().then(|| omission("motion blur", "the eye does not move", 0.0))
 }
 
 fn course(look: &Look) -> Option<Omission> {
@@ -112,8 +120,7 @@ fn course(look: &Look) -> Option<Omission> {
     let steady = |p: &Primary| p.waveform == Waveform::Steady;
     let varies = !display.primaries.iter().all(steady) || display.panel.lag_ms > 0.0;
     let why = "to an eye that does not move the light of a frame is one sum";
-    (look.setup.gaze.is_still() && varies)
-        .then(|| omission("the course of light inside a frame", why, 0.0))?
+    (look.setup.gaze.is_still() && varies).then(|| omission("the course of light inside a frame", why, 0.0))
 }
 
 /// Visual eccentricity nearest to the fovea, degrees.
@@ -130,18 +137,18 @@ pub fn beyond_gradients(experiment: &Experiment, ecc_deg: f64) -> bool {
 fn eccentricities(look: &Look) -> Option<Omission> {
     let flat = look.tiles.iter().filter(|t| t.kernels.ecc_nodes == 1).count();
     let why = format!("{flat} tile(s) lie beyond {GRADIENTS_END_DEG}°: macula and pigments change no more");
-    (flat > 0).then(|| omission("changes of pigments with eccentricity", &why, 0.0))?
+    (flat > 0).then(|| omission("changes of pigments with eccentricity", &why, 0.0))
 }
 
 fn macula(look: &Look) -> Option<Omission> {
     let beyond = nearest_deg(look) > MACULA_EDGE_DEG;
-    beyond.then(|| omission("macular pigment", "the patch lies beyond its edge", 0.0))?
+    beyond.then(|| omission("macular pigment", "the patch lies beyond its edge", 0.0))
 }
 
 fn unlit_primaries(look: &Look) -> Option<Omission> {
     let dark = lit::primaries(look.experiment).iter().filter(|lit| !**lit).count();
     let why = format!("{dark} primaries are dark in the whole video");
-    (dark > 0).then(|| omission("optics of primaries that nothing lights", &why, 0.0))?
+    (dark > 0).then(|| omission("optics of primaries that nothing lights", &why, 0.0))
 }
 
 fn repeated_frames(look: &Look) -> Option<Omission> {
@@ -152,13 +159,13 @@ fn repeated_frames(look: &Look) -> Option<Omission> {
     };
     let may = *frames > 1 && counts.engine == Engine::Expected && look.setup.gaze.is_still() && !dithered;
     let why = "means of a frame that shows the same as the one before are those of that one";
-    may.then(|| omission("frames that repeat", why, 0.0))?
+    may.then(|| omission("frames that repeat", why, 0.0))
 }
 
 fn dark_tiles(look: &Look) -> Option<Omission> {
     let may = look.experiment.display.black <= 0.0 && look.experiment.counts.engine == Engine::Expected;
     let why = "a frame of a tile that sees no lit pixel is 0 without being computed";
-    may.then(|| omission("frames and tiles without light", why, 0.0))?
+    may.then(|| omission("frames and tiles without light", why, 0.0))
 }
 
 fn blind_types(look: &Look) -> Option<Omission> {
@@ -166,23 +173,20 @@ fn blind_types(look: &Look) -> Option<Omission> {
         "a type of cone that there is none of, or that catches less than this of what the best one does";
     (look.experiment.counts.engine == Engine::Expected).then(|| {
         omission("images for types of cone without light", why, Numerics::new(look.experiment).blind_below)
-    })?
+    })
 }
 
 fn pointing(look: &Look) -> Option<Omission> {
     let effect = pointing_effect(look.experiment, &pointing_of(look.experiment, look.setup));
     let small = effect < POINTING_SHARE * look.experiment.accuracy_target;
-    small.then(|| omission("pointing errors of cones", "they change less than the target asks", effect))?
+    small.then(|| omission("pointing errors of cones", "they change less than the target asks", effect))
 }
 
 fn copies(look: &Look) -> Option<Omission> {
     let guard_um = look.setup.guard_um;
     let why = format!("the image is periodic; the nearest copy is {guard_um:.0} µm from any cone");
-    omission(
-        "copies of the picture beyond the guard distance",
-        &why,
-        error::tail_beyond(look.experiment, guard_um),
-    )
+    let bound = error::tail_beyond(look.experiment, guard_um);
+    Some(omission("copies of the picture beyond the guard distance", &why, bound))
 }
 
 fn scan_steps(look: &Look) -> Option<Omission> {
@@ -190,7 +194,7 @@ fn scan_steps(look: &Look) -> Option<Omission> {
     let why =
         "the turns of pixels are cut into steps; of a frequency at a third of the band so much is blurred";
     (scanned && !look.setup.gaze.is_still())
-        .then(|| omission("times between the steps of the scan", why, crate::exposure::SCAN_BLUR))?
+        .then(|| omission("times between the steps of the scan", why, crate::exposure::SCAN_BLUR))
 }
 
 fn ghosts(look: &Look) -> Option<Omission> {
@@ -199,7 +203,7 @@ fn ghosts(look: &Look) -> Option<Omission> {
     let history = |p: &Primary| p.waveform.timing(0, frame_s, display.panel.lag_ms).history();
     let history = display.primaries.iter().map(history).max().unwrap_or(0);
     let why = format!("{history} earlier frames are looked at");
-    (history > 0).then(|| omission("ghosts of frames before those", &why, FORGOTTEN))?
+    (history > 0).then(|| omission("ghosts of frames before those", &why, FORGOTTEN))
 }
 
 fn directional(look: &Look) -> Option<Omission> {
@@ -207,7 +211,7 @@ fn directional(look: &Look) -> Option<Omission> {
     let lost = 0.05 * std::f64::consts::LN_10 * eye.pupil_mm.powi(2) / 8.0;
     (eye.stiles_crawford_rho10_per_mm2 <= 0.0).then(|| {
         omission("directional sensitivity of the cones", "the experiment switches it off", lost.min(1.0))
-    })?
+    })
 }
 
 /// A steady white screen would bleach I/(I + I₀) of the pigment.
@@ -219,18 +223,18 @@ fn bleaching(look: &Look) -> Option<Omission> {
     if bound > 0.01 {
         why += ": it matters here, see retina.bleaching";
     }
-    experiment.retina.bleaching_td.is_none().then(|| omission("bleaching", &why, bound))?
+    experiment.retina.bleaching_td.is_none().then(|| omission("bleaching", &why, bound))
 }
 
 fn stray_light(look: &Look) -> Option<Omission> {
     let usual = StrayLight { age_years: 30.0, pigmentation: 0.5 };
     let why = "scattered light stays in the image; at 30 years so much of it would be spread as a veil over the whole field, see eye.stray_light";
     let none = look.experiment.eye.stray_light.is_none();
-    none.then(|| omission("light scattered in the eye", why, scattered_share(usual)))?
+    none.then(|| omission("light scattered in the eye", why, scattered_share(usual)))
 }
 
 fn reflections(look: &Look) -> Option<Omission> {
     let why = "the flat 0.016 in the density of the cornea stands for them; computed, 1 % more light passes, see eye.reflection_losses";
     (!look.experiment.eye.reflection_losses)
-        .then(|| omission("reflections at the surfaces of cornea and lens", why, 0.01))?
+        .then(|| omission("reflections at the surfaces of cornea and lens", why, 0.01))
 }

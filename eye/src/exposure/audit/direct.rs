@@ -33,7 +33,7 @@ pub struct Cone {
     /// Corners of the aperture, µm.
     pub polygon_um: Vec<DVec2>,
     /// Its type.
-    pub cone_type: ConeType,
+    pub kind: ConeType,
     /// Factor from its pointing error.
     pub pointing: f64,
 }
@@ -101,7 +101,7 @@ pub fn mean(
     let display = &projector.display;
     let tangent = optics.projection.screen_tangent(cone.um).map_err(|e| e.to_string())?;
     let ecc_deg = tangent.length().atan().to_degrees();
-    let kind = Kind::Isomerized(cone.cone_type);
+    let kind = Kind::Isomerized(cone.kind);
     let collection = Collection::new(optics, &projector.emitters, kind, cone.um, ecc_deg)?;
     let mut corners = Vec::with_capacity(cone.polygon_um.len());
     for um in &cone.polygon_um {

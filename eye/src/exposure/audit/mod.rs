@@ -108,7 +108,7 @@ impl Audited<'_> {
             let cone = Cone {
                 um: DVec2::new(self.retina.x_um[i], self.retina.y_um[i]),
                 polygon_um: self.retina.polygon(i).collect(),
-                cone_type: self.retina.cone_type[i],
+                kind: self.retina.cone_type[i],
                 pointing: self.table.cones[i].pointing,
             };
             let reference = direct::mean(self.experiment, &optics, self.projector, (shown, &lights), &cone)?;

@@ -52,7 +52,7 @@ const STEP: &str = "wavelength_step_nm";
 const PAPER: &str = "engine PAPER";
 const EVENTS: &str = "engine EVENTS";
 /// An engine that would take longer than so many seconds in a run is left out.
-const PATIENCE_S: [f64; 2] = [60.0, 5.0];
+const PATIENCE_S: [f64; 2] = [60.0, 30.0];
 
 /// A knob of the engine EXPECTED: its values, fine last, and how one is set.
 type Knob = (&'static str, &'static [f64], fn(&mut Knobs, f64));
@@ -186,7 +186,10 @@ fn judge(task: &mut Task, scene: &Scene) -> Result<(Vec<Point>, usize), Failure>
     };
     let targets: &[f64] = task.pick(&[0.2, 0.05, 0.01, 0.005, 0.002, 0.001], &[0.1, 0.01, 0.001]);
     for target in targets {
-        add(TARGET, target.to_string(), &run(&expected(*target, None))?)?;
+        match run(&expected(*target, None)) {
+            Ok(outcome) => add(TARGET, target.to_string(), &outcome)?,
+            Err(why) => task.say(&format!("{}: target {target} left out: {why}", scene.name)),
+        }
     }
     let steps: &[f64] = task.pick(&[20.0, 10.0, 7.5, 5.0], &[20.0, 10.0]);
     for step in steps {
