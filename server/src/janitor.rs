@@ -45,7 +45,7 @@ impl Service {
         if bytes <= most_bytes {
             return Ok(0);
         }
-        let pins = self.machine.read(in_use).await;
+        let pins = self.machine.read(in_use);
         let mut count = 0;
         for (time, digest) in list {
             let age = SystemTime::now().duration_since(time).unwrap_or_default();

@@ -14,6 +14,7 @@ pub mod jobs;
 mod listen;
 mod metrics;
 mod mosaic;
+mod prepare;
 mod quota;
 mod report;
 mod rest;
@@ -41,7 +42,7 @@ pub use service::Limits;
 
 use access::Access;
 use jobs::Machine;
-use jobs::machine::Clock;
+use jobs::clock::Clock;
 use jobs::sqlite::SqliteStore;
 use quota::Quota;
 use service::Service;
@@ -134,7 +135,7 @@ impl Server {
             quota: Quota::new(limits.burst_seconds, limits.rate),
             fleet: fleet::Fleet::default(),
             metrics: metrics::Metrics::default(),
-            plans: admit::Plans::default(),
+            plans: prepare::Plans::default(),
         });
         let keys = service.access.asks().await.map_err(|error| StartError::Database(file, error))?;
         if !options.listen.ip().is_loopback() && !options.insecure && !keys {

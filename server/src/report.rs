@@ -21,6 +21,8 @@ struct Facts {
     artifacts: Value,
     frames: Value,
     wall_seconds: f64,
+    /// Names of the documents that hold experiment and plan.
+    texts: [String; 2],
 }
 
 impl Service {
@@ -43,10 +45,10 @@ impl Service {
                 merged.merge(&report);
             }
         }
-        let plan: Value = self.stored(&format!("plan/{id}")).await?;
+        let plan: Value = self.stored(&facts.texts[1]).await?;
         Ok(json!({
             "id": id,
-            "spec": self.stored(&format!("experiment/{id}")).await?,
+            "spec": self.stored(&facts.texts[0]).await?,
             "digests": facts.digests,
             "engine": plan["engine"],
             "versions": {"photoneye": env!("CARGO_PKG_VERSION"), "counts": COUNTS_VERSION},
@@ -92,6 +94,7 @@ fn facts(state: &State, job: &Job) -> Facts {
         artifacts: artifacts.into(),
         frames: frames(job),
         wall_seconds: ended.saturating_sub(job.created_ms) as f64 / 1e3,
+        texts: [job.experiment_text.clone(), job.plan_text.clone()],
     }
 }
 

@@ -255,7 +255,8 @@ impl Service {
     /// # Errors
     /// When there is no such job.
     pub async fn experiment(&self, id: &str) -> Result<photoneye_eye::experiment::Experiment, Error> {
-        let text = self.machine.document(&format!("experiment/{id}")).await?;
+        let name = self.look(id, |_, job| job.experiment_text.clone()).await?;
+        let text = self.machine.document(&name).await?;
         let text = text.ok_or_else(|| crate::service::no_job(id))?;
         serde_json::from_str(&text).map_err(|error| Error::new(Kind::Internal, error.to_string()))
     }

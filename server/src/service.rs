@@ -11,11 +11,11 @@ use photoneye_proto::{FieldError, v1};
 use photoneye_store::{BlobDigest, Blobs};
 
 use crate::access::{Access, Caller, Role};
-use crate::admit::Plans;
 use crate::error::{Error, Kind};
 use crate::fleet::Fleet;
 use crate::jobs::{Command, Job, Machine, Record, Reply, State};
 use crate::metrics::Metrics;
+use crate::prepare::Plans;
 use crate::quota::Quota;
 use crate::view;
 
@@ -32,6 +32,8 @@ pub struct Limits {
     pub blob_bytes: u64,
     /// Jobs of one tenant that are not finished.
     pub tenant_jobs: usize,
+    /// Shards of one tenant that are at work at the same time.
+    pub tenant_leases: usize,
     /// Predicted cones of a job.
     pub job_cones: f64,
     /// Frames of a job times its result tiles.
@@ -50,6 +52,7 @@ impl Default for Limits {
             job_seconds: 30.0 * 86400.0,
             blob_bytes: 4 << 30,
             tenant_jobs: 5_000,
+            tenant_leases: 1_000,
             job_cones: 20e6,
             job_chunks: 4_000_000,
             burst_seconds: 30.0 * 86400.0,
@@ -99,8 +102,9 @@ impl Service {
     /// # Errors
     /// When there is no such job.
     pub async fn job(&self, id: &str) -> Result<v1::Job, Error> {
-        let mut job = self.look(id, view::job).await?;
-        let plan = self.machine.document(&format!("plan/{id}")).await?;
+        let look = |state: &State, job: &Job| (view::job(state, job), job.plan_text.clone());
+        let (mut job, plan) = self.look(id, look).await?;
+        let plan = self.machine.document(&plan).await?;
         job.plan = plan.and_then(|text| photoneye_proto::from_json(&text).ok());
         Ok(job)
     }
@@ -145,7 +149,7 @@ impl Service {
             let view = |job: &Job| view::job(state, state.jobs.get(&job.id).unwrap_or(job));
             jobs.iter().map(view).collect()
         };
-        Ok(v1::ListJobsReply { next_page, jobs: self.machine.read(view).await })
+        Ok(v1::ListJobsReply { next_page, jobs: self.machine.read(view) })
     }
 
     /// Refuses the job of another tenant as if it were not there.

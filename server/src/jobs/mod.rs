@@ -2,6 +2,7 @@
 //!
 //! [`step()`] is the whole logic, without I/O; a store only keeps what it changed.
 
+pub mod clock;
 pub mod command;
 mod index;
 mod invariants;
@@ -10,13 +11,16 @@ mod lists;
 pub mod machine;
 pub mod memory;
 mod pick;
+mod recall;
 mod rows;
+mod save;
 pub mod sqlite;
 pub mod state;
 pub mod step;
 pub mod store;
 
-pub use command::{Command, Commit, NewArtifact, NewJob, Record, Reply};
+pub use command::{Command, Commit, NewArtifact, NewJob, Record, Reply, Text};
+pub use recall::Recalled;
 pub use lease::{Lease, Phase};
 pub use machine::Machine;
 pub use state::{Artifact, Chunk, Job, JobState, Shard, State};

@@ -6,14 +6,18 @@ use std::collections::BTreeSet;
 use super::lease::Phase;
 use super::state::{Job, State, WorkId};
 
-/// The next piece of work for a worker that holds these artifacts.
-pub fn pick(state: &State, holds: &BTreeSet<String>) -> Option<WorkId> {
+/// The next piece of work for a worker that holds these artifacts; no shard of a tenant that has `most` of them at work.
+pub fn pick(state: &State, most: usize, holds: &BTreeSet<String>) -> Option<WorkId> {
     let mut tenants: Vec<_> =
         state.queues.iter().map(|(name, queue)| (state.passes.get(name), name, queue)).collect();
     tenants.sort_unstable_by_key(|(pass, name, _)| (*pass, *name));
     let mut jobs =
         tenants.into_iter().flat_map(|(.., queue)| queue).filter_map(|place| state.jobs.get(&place.3));
-    let of_job = |job: &Job| build(state, &needed(state, job)).or_else(|| shard(state, job, holds));
+    let room = |job: &Job| state.holding.get(&job.tenant).is_none_or(|held| *held < most);
+    let of_job = |job: &Job| {
+        let shard = || shard(state, job, holds).filter(|_| room(job));
+        build(state, &needed(state, job)).or_else(shard)
+    };
     jobs.find_map(of_job).or_else(|| {
         let mut wanted = BTreeSet::new();
         state.asked.iter().for_each(|key| want(state, key, &mut wanted));

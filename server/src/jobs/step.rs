@@ -10,11 +10,13 @@ use super::pick::pick;
 use super::state::{Artifact, Chunk, Job, JobState, Shard, State, Summary, WorkId};
 
 /// Carries out a command at a time (ms since 1970).
-pub fn step(state: &mut State, command: Command, now_ms: u64) -> Effects {
-    let mut step = Step { state, now_ms, rows: BTreeSet::new(), documents: Vec::new(), records: Vec::new() };
+pub fn step(state: &mut State, command: Command, now_ms: u64) -> (Reply, Effects) {
+    let mut step = Step { state, now_ms, effects: Effects::default() };
     let reply = match command {
         Command::Create(job) => step.create(*job),
-        Command::Lease { worker, local, holds } => Reply::Leased(step.lease(&worker, local, &holds)),
+        Command::Lease { most, worker, local, holds } => {
+            Reply::Leased(step.lease(most, &worker, local, &holds))
+        }
         Command::Beat { id, fence, stage } => Reply::Held(step.beat(&id, fence, stage)),
         Command::Commit { id, fence, commit, report_json } => step.commit(&id, fence, commit, report_json),
         Command::Fail { id, fence, message, deterministic } => {
@@ -36,28 +38,26 @@ pub fn step(state: &mut State, command: Command, now_ms: u64) -> Effects {
         Command::LostArtifact(key) => step.lost_artifact(key),
         Command::LostChunk(job, frame, tile) => step.lost_chunk(&job, frame, tile),
         Command::Note(record) => {
-            step.records.push(record);
+            step.effects.records.push(record);
             Reply::Done
         }
     };
-    let Step { state, rows, documents, records, .. } = step;
+    let Step { state, effects, .. } = step;
     debug_assert_eq!(state.check(), Ok(()));
-    Effects { reply, rows, documents, records }
+    (reply, effects)
 }
 
 struct Step<'a> {
     state: &'a mut State,
     now_ms: u64,
-    rows: BTreeSet<Row>,
-    documents: Vec<(String, String)>,
-    records: Vec<Record>,
+    effects: Effects,
 }
 
 impl Step<'_> {
     /// Changes a lease and marks its row.
     fn change<T>(&mut self, id: &WorkId, change: impl FnOnce(&mut Lease) -> T) -> Option<T> {
         let result = self.state.change(id, change)?;
-        self.rows.insert(match id {
+        self.effects.rows.insert(match id {
             WorkId::Build(key) => Row::Artifact(key.clone()),
             WorkId::Shard(job, number) => Row::Shard(job.clone(), *number),
         });
@@ -69,7 +69,7 @@ impl Step<'_> {
         if let Some(job) = self.state.jobs.get_mut(id) {
             change(job);
             job.version += 1;
-            self.rows.insert(Row::Job(id.to_owned()));
+            self.effects.rows.insert(Row::Job(id.to_owned()));
         }
     }
 
@@ -81,15 +81,18 @@ impl Step<'_> {
                 None => {}
             }
             self.state.requests.insert(request.clone(), (new.id.clone(), body.clone()));
-            self.rows.insert(Row::Request(request.clone()));
+            self.effects.rows.insert(Row::Request(request.clone()));
         }
         let keys = new.artifacts.iter().map(|artifact| artifact.key.clone()).collect();
         for artifact in new.artifacts {
             self.add_artifact(artifact);
         }
         let id = new.id;
-        self.documents.push((format!("experiment/{id}"), new.experiment_json));
-        self.documents.push((format!("plan/{id}"), new.plan_json));
+        let texts = [new.experiment, new.plan];
+        let [experiment_text, plan_text] = texts.map(|text| {
+            self.effects.documents.push((text.id.clone(), text.text));
+            text.id
+        });
         let shards = new.shards.iter().map(|&(first_frame, frame_count, tile)| Shard {
             first_frame,
             frame_count,
@@ -102,6 +105,8 @@ impl Step<'_> {
             tenant: new.tenant,
             priority: new.priority,
             experiment_digest: new.experiment_digest,
+            experiment_text,
+            plan_text,
             created_ms: self.now_ms,
             frames: new.frames,
             artifacts: keys,
@@ -114,13 +119,13 @@ impl Step<'_> {
             version: 1,
             ..Job::default()
         };
-        self.records.push(Record::Audit {
+        self.effects.records.push(Record::Audit {
             tenant: job.tenant.clone(),
             who: new.by,
             action: "create job",
             object: id.clone(),
         });
-        self.rows.insert(Row::Job(id.clone()));
+        self.effects.rows.insert(Row::NewJob(id.clone()));
         self.state.next_number += 1;
         self.state.jobs.insert(id.clone(), Job { pass_us: self.least_pass(&job.tenant), ..job });
         self.state.activate(&id);
@@ -154,8 +159,8 @@ impl Step<'_> {
             }
             Some(Phase::Open | Phase::Leased | Phase::Done) => {}
             None => {
-                self.documents.push((format!("artifact/{}", new.key), new.spec_json));
-                self.rows.insert(Row::Artifact(new.key.clone()));
+                self.effects.documents.push((format!("artifact/{}", new.key), new.spec_json));
+                self.effects.rows.insert(Row::Artifact(new.key.clone()));
                 let artifact = Artifact {
                     key: new.key.clone(),
                     kind: new.kind,
@@ -168,8 +173,14 @@ impl Step<'_> {
         }
     }
 
-    fn lease(&mut self, worker: &str, local: bool, holds: &BTreeSet<String>) -> Option<(WorkId, u64)> {
-        let id = pick(self.state, holds)?;
+    fn lease(
+        &mut self,
+        most: usize,
+        worker: &str,
+        local: bool,
+        holds: &BTreeSet<String>,
+    ) -> Option<(WorkId, u64)> {
+        let id = pick(self.state, most, holds)?;
         let now_ms = self.now_ms;
         let fence = self.change(&id, |lease| lease.take(worker, local, now_ms)).flatten()?;
         let (payers, cost) = match &id {
@@ -224,7 +235,7 @@ impl Step<'_> {
         }
         self.change(id, |lease| lease.commit(fence));
         if let Some(report) = report_json {
-            self.documents.push((format!("report/{id}"), report));
+            self.effects.documents.push((format!("report/{id}"), report.into()));
         }
         if let WorkId::Shard(job, _) = id {
             self.finish_when_done(job);
@@ -235,7 +246,7 @@ impl Step<'_> {
     /// The same work gave other bytes: somebody has to look, and both are kept.
     fn alarm(&mut self, work: String, first: BlobDigest, second: BlobDigest) {
         self.state.nondeterministic += 1;
-        self.records.push(Record::Alarm { work, first, second });
+        self.effects.records.push(Record::Alarm { work, first, second });
     }
 
     fn commit_artifact(&mut self, id: &WorkId, key: &str, digest: BlobDigest, cones: Option<u64>) {
@@ -287,7 +298,7 @@ impl Step<'_> {
                 job.order.push((frame, tile));
             }
             job.chunks.insert((frame, tile), Chunk { seq, digest, first_cone, cones, summary });
-            self.rows.insert(Row::Chunk(job_id.to_owned(), frame, tile));
+            self.effects.rows.insert(Row::Chunk(job_id.to_owned(), frame, tile));
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use photoneye_server::jobs::memory::MemoryStore;
 use photoneye_server::jobs::sqlite::SqliteStore;
 use photoneye_server::jobs::state::{Summary, WorkId};
 use photoneye_server::jobs::{
-    Command, Commit, JobState, JobStore, NewArtifact, NewJob, Phase, Record, Reply, State, lease, step,
+    Command, Commit, JobState, JobStore, NewArtifact, NewJob, Phase, Record, Reply, State, Text, lease, step,
 };
 use photoneye_store::BlobDigest;
 use proptest::prelude::*;
@@ -23,8 +23,8 @@ fn job(id: &str, request: Option<(String, String)>) -> NewJob {
     NewJob {
         id: id.into(),
         experiment_digest: "e".into(),
-        experiment_json: "{}".into(),
-        plan_json: "{}".into(),
+        experiment: Text::of("{}"),
+        plan: Text::of("{}"),
         frames: 4,
         artifacts: vec![
             artifact("mosaic", &[]),
@@ -47,7 +47,7 @@ fn create(id: &str) -> Command {
 }
 
 fn take(worker: &str) -> Command {
-    Command::Lease { worker: worker.into(), local: false, holds: BTreeSet::new() }
+    Command::Lease { most: usize::MAX, worker: worker.into(), local: false, holds: BTreeSet::new() }
 }
 
 /// The right commit for a piece of work; `salt` stands for what the computation gave.
@@ -67,11 +67,11 @@ fn commit(state: &State, id: WorkId, fence: u64, salt: u32) -> Command {
 /// Runs everything that there is to do.
 fn drain(state: &mut State) -> usize {
     for done in 0.. {
-        let Reply::Leased(Some((id, fence))) = step(state, take("w"), 0).reply else {
+        let Reply::Leased(Some((id, fence))) = step(state, take("w"), 0).0 else {
             return done;
         };
         let command = commit(state, id, fence, 0);
-        assert_eq!(step(state, command, 0).reply, Reply::Held(true));
+        assert_eq!(step(state, command, 0).0, Reply::Held(true));
     }
     unreachable!()
 }
@@ -96,17 +96,17 @@ fn a_job_runs_to_its_end_and_shares_its_artifacts() {
 fn a_superseded_lease_cannot_commit() {
     let mut state = State::default();
     step(&mut state, create("a"), 0);
-    let Reply::Leased(Some((id, old))) = step(&mut state, take("w"), 0).reply else { panic!() };
+    let Reply::Leased(Some((id, old))) = step(&mut state, take("w"), 0).0 else { panic!() };
     step(&mut state, Command::Reap, lease::TTL_MS);
-    let Reply::Leased(Some((again, new))) = step(&mut state, take("w"), lease::TTL_MS).reply else {
+    let Reply::Leased(Some((again, new))) = step(&mut state, take("w"), lease::TTL_MS).0 else {
         panic!()
     };
     assert_eq!(again, id);
     let late = commit(&state, id.clone(), old, 1);
-    assert_eq!(step(&mut state, late, lease::TTL_MS).reply, Reply::Held(false));
+    assert_eq!(step(&mut state, late, lease::TTL_MS).0, Reply::Held(false));
     assert!(!state.ready("kernel") && !state.ready("mosaic"));
     let right = commit(&state, id, new, 0);
-    assert_eq!(step(&mut state, right, lease::TTL_MS).reply, Reply::Held(true));
+    assert_eq!(step(&mut state, right, lease::TTL_MS).0, Reply::Held(true));
 }
 
 #[test]
@@ -114,14 +114,14 @@ fn a_deterministic_failure_ends_every_job_that_needs_the_work() {
     let mut state = State::default();
     step(&mut state, create("a"), 0);
     step(&mut state, create("b"), 0);
-    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else { panic!() };
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).0 else { panic!() };
     let fail = Command::Fail { id, fence, message: "no such eye".into(), deterministic: true };
     step(&mut state, fail, 5);
     for job in state.jobs.values() {
         assert_eq!(job.state, JobState::Failed);
         assert_eq!(job.error.as_deref(), Some("building kind: no such eye"));
     }
-    assert_eq!(step(&mut state, take("w"), 5).reply, Reply::Leased(None));
+    assert_eq!(step(&mut state, take("w"), 5).0, Reply::Leased(None));
     // The next job tries again.
     step(&mut state, create("c"), 6);
     assert_eq!(drain(&mut state), 8);
@@ -132,12 +132,12 @@ fn a_deterministic_failure_ends_every_job_that_needs_the_work() {
 fn a_cancelled_job_gives_its_work_back() {
     let mut state = State::default();
     step(&mut state, create("a"), 0);
-    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else { panic!() };
-    assert_eq!(step(&mut state, Command::Cancel("a".into()), 1).reply, Reply::Done);
-    assert_eq!(step(&mut state, Command::Cancel("x".into()), 1).reply, Reply::NoSuchJob);
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).0 else { panic!() };
+    assert_eq!(step(&mut state, Command::Cancel("a".into()), 1).0, Reply::Done);
+    assert_eq!(step(&mut state, Command::Cancel("x".into()), 1).0, Reply::NoSuchJob);
     let beat = Command::Beat { id: id.clone(), fence, stage: String::new() };
-    assert_eq!(step(&mut state, beat, 2).reply, Reply::Held(false));
-    assert_eq!(step(&mut state, take("w"), 2).reply, Reply::Leased(None));
+    assert_eq!(step(&mut state, beat, 2).0, Reply::Held(false));
+    assert_eq!(step(&mut state, take("w"), 2).0, Reply::Leased(None));
     assert!(state.jobs["a"].shards.iter().all(|shard| shard.lease.phase == Phase::Cancelled));
 }
 
@@ -166,7 +166,7 @@ fn another_result_for_the_same_work_raises_the_alarm() {
     step(&mut state, create("a"), 0);
     drain(&mut state);
     step(&mut state, Command::LostChunk("a".into(), 0, 0), 1);
-    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 1).reply else { panic!() };
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 1).0 else { panic!() };
     let other = commit(&state, id, fence, 1);
     step(&mut state, other, 1);
     assert_eq!(state.nondeterministic, 2);
@@ -179,13 +179,13 @@ fn a_short_job_does_not_wait_for_a_long_one() {
     long.shards = (0..1000).map(|i| (2 * i, 2, 0)).collect();
     step(&mut state, Command::Create(Box::new(long)), 0);
     for _ in 0..50 {
-        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else { panic!() };
+        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).0 else { panic!() };
         let command = commit(&state, id, fence, 0);
         step(&mut state, command, 0);
     }
     step(&mut state, create("short"), 0);
     for _ in 0..12 {
-        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else { panic!() };
+        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).0 else { panic!() };
         let command = commit(&state, id, fence, 0);
         step(&mut state, command, 0);
     }
@@ -209,7 +209,7 @@ fn tenants_share_and_priority_counts_inside_one_only() {
     new("high", "quiet", 2, 10);
     let mut order = Vec::new();
     for _ in 0..60 {
-        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).reply else { panic!() };
+        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).0 else { panic!() };
         if let WorkId::Shard(job, _) = &id {
             order.push(job.clone());
         }
@@ -227,9 +227,9 @@ fn another_artifact_under_the_same_key_raises_the_alarm() {
     step(&mut state, create("a"), 0);
     drain(&mut state);
     step(&mut state, Command::LostArtifact("kernel".into()), 1);
-    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 1).reply else { panic!() };
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 1).0 else { panic!() };
     let other = Commit::Artifact { digest: BlobDigest::of(b"other"), cones: None };
-    let effects = step(&mut state, Command::Commit { id, fence, commit: other, report_json: None }, 1);
+    let (_, effects) = step(&mut state, Command::Commit { id, fence, commit: other, report_json: None }, 1);
     assert_eq!(state.nondeterministic, 1);
     assert!(matches!(&effects.records[..], [Record::Alarm { first, second, .. }]
         if *first == BlobDigest::of(b"kernel") && *second == BlobDigest::of(b"other")));
