@@ -62,6 +62,8 @@ pub struct Options {
     pub limits: Limits,
     /// Most bytes of blobs; `None`: as many as the disk holds.
     pub store_max_bytes: Option<u64>,
+    /// The time that leases and records go by.
+    pub clock: Clock,
 }
 
 impl Options {
@@ -74,6 +76,7 @@ impl Options {
             tls: None,
             limits: Limits::default(),
             store_max_bytes: None,
+            clock: Clock::new(),
         }
     }
 }
@@ -122,7 +125,7 @@ impl Server {
         let blobs = FolderStore::open(&options.data_dir)?;
         let lock = lock(&options.data_dir).await?;
         let file = options.data_dir.join("photoneye.db");
-        let clock = Clock::new();
+        let clock = options.clock;
         let opened = SqliteStore::open(&file, clock.now_ms()).await;
         let store = opened.map_err(|error| StartError::Database(file.clone(), error))?;
         let machine = Machine::new(store, clock);
@@ -155,6 +158,7 @@ impl Server {
                     () = listen::serve(listener, tls, receiver, routes, stop) => {}
                     () = service.machine.reap() => {}
                     () = service.keep_size(&blobs, options.store_max_bytes) => {}
+                    () = service.sweep() => {}
                 }
                 service.machine.stop().await;
                 drop(service);

@@ -42,6 +42,12 @@ pub struct Limits {
     pub burst_seconds: f64,
     /// Predicted work that a tenant may ask for in the long run, CPU seconds a second.
     pub rate: f64,
+    /// Jobs that are remembered, the latest; those at work always.
+    pub kept_jobs: u64,
+    /// Records of the audit that are kept, the latest.
+    pub kept_audit: u64,
+    /// Jobs that ended and records older than so many days are deleted; `None`: only by number.
+    pub keep_days: Option<f64>,
 }
 
 impl Default for Limits {
@@ -57,6 +63,9 @@ impl Default for Limits {
             job_chunks: 4_000_000,
             burst_seconds: 30.0 * 86400.0,
             rate: 1000.0,
+            kept_jobs: 1_000_000,
+            kept_audit: 1_000_000,
+            keep_days: None,
         }
     }
 }

@@ -30,6 +30,8 @@ impl Workers for Door {
         let local = request.extensions().get::<Local>().is_some();
         let request = request.into_inner();
         self.0.fleet.heard(request.worker(), |word| *word = Word::default());
+        self.0.metrics.worker_hits.fetch_add(request.cache_hits(), Ordering::Relaxed);
+        self.0.metrics.worker_misses.fetch_add(request.cache_misses(), Ordering::Relaxed);
         let wait = Duration::from_millis(u64::from(request.wait_ms().min(MAX_WAIT_MS)));
         let until = tokio::time::Instant::now() + wait;
         let holds = request.holds.iter().cloned().collect();

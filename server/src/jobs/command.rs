@@ -71,6 +71,19 @@ pub enum Command {
     LostChunk(String, u32, u32),
     /// Something to be kept on record.
     Note(Record),
+    /// What is over for long may go.
+    Sweep(Sweep),
+}
+
+/// How much of what is over is kept.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sweep {
+    /// Jobs that ended, and records, from before this time go, ms since 1970.
+    pub before_ms: u64,
+    /// Of all jobs the latest so many stay, and those that are at work.
+    pub kept_jobs: u64,
+    /// Records of the audit that stay, the latest.
+    pub kept_audit: u64,
 }
 
 /// A job to be accepted.
@@ -233,6 +246,8 @@ pub struct Effects {
     pub documents: Vec<(String, Arc<str>)>,
     /// Things to be kept on record.
     pub records: Vec<Record>,
+    /// What is to be deleted.
+    pub sweep: Option<Sweep>,
 }
 
 impl Effects {
@@ -241,9 +256,10 @@ impl Effects {
         self.rows.extend(other.rows);
         self.documents.extend(other.documents);
         self.records.extend(other.records);
+        self.sweep = other.sweep.or(self.sweep.take());
     }
 
-    /// Whether nothing has to be kept.
+    /// Whether there is nothing to write.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty() && self.documents.is_empty() && self.records.is_empty()
     }

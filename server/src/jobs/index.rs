@@ -101,6 +101,11 @@ impl State {
             stay.insert((*id).clone());
         }
         self.jobs.retain(|id, job| job.state.active() || stay.contains(id));
+        self.forget_artifacts();
+    }
+
+    /// Forgets artifacts that no job at hand needs and nobody asks for.
+    pub fn forget_artifacts(&mut self) {
         let mut needed: BTreeSet<String> =
             self.jobs.values().flat_map(|job| &job.artifacts).cloned().collect();
         // What is asked for, and what that is made from.

@@ -182,7 +182,7 @@ enum Kind {
 impl Kind {
     fn of(command: &Command) -> Self {
         match command {
-            Command::Beat { .. } | Command::Note(_) => Self::Silent,
+            Command::Beat { .. } | Command::Note(_) | Command::Sweep(_) => Self::Silent,
             Command::Reap => Self::Reap,
             Command::Create(_)
             | Command::Lease { .. }
@@ -230,12 +230,9 @@ impl Shared {
 
     /// Repeats a batch on the readers' copy.
     fn repeat(&self, store: &dyn JobStore, recalled: Recalled, commands: Vec<Command>, now_ms: u64) {
-        // Lost results bring an old job back to work.
-        let lost = commands.iter().filter_map(|command| match command {
-            Command::LostChunk(job, ..) => Some(job.clone()),
-            _ => None,
-        });
-        let lost: BTreeSet<String> = lost.collect();
+        // Lost results bring an old job back to work; an old one may be deleted.
+        let changed = |command: &Command| matches!(command, Command::LostChunk(..) | Command::Sweep(_));
+        let changed = commands.iter().any(changed);
         {
             let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
             state.take_in(recalled);
@@ -244,9 +241,8 @@ impl Shared {
             }
             store.settle(&mut state);
         }
-        if !lost.is_empty() {
-            let mut old = self.old.lock().unwrap_or_else(PoisonError::into_inner);
-            old.retain(|(id, _)| !lost.contains(id));
+        if changed {
+            self.old.lock().unwrap_or_else(PoisonError::into_inner).clear();
         }
     }
 }

@@ -18,8 +18,9 @@ pub mod sqlite;
 pub mod state;
 pub mod step;
 pub mod store;
+mod sweep;
 
-pub use command::{Command, Commit, NewArtifact, NewJob, Record, Reply, Text};
+pub use command::{Command, Commit, NewArtifact, NewJob, Record, Reply, Sweep, Text};
 pub use recall::Recalled;
 pub use lease::{Lease, Phase};
 pub use machine::Machine;

@@ -14,11 +14,17 @@ pub fn pick(state: &State, most: usize, holds: &BTreeSet<String>) -> Option<Work
     let mut jobs =
         tenants.into_iter().flat_map(|(.., queue)| queue).filter_map(|place| state.jobs.get(&place.3));
     let room = |job: &Job| state.holding.get(&job.tenant).is_none_or(|held| *held < most);
-    let of_job = |job: &Job| {
-        let shard = || shard(state, job, holds).filter(|_| room(job));
-        build(state, &needed(state, job)).or_else(shard)
+    // Of thousands of jobs that wait for the same builds, one says that there is nothing to build.
+    let mut stuck = BTreeSet::new();
+    let mut of_job = |job: &Job| {
+        let waiting = stuck.contains(&job.artifacts);
+        let first = if waiting { None } else { build(state, &needed(state, job)) };
+        if first.is_none() && !waiting && build(state, &unready(state, job)).is_none() {
+            stuck.insert(job.artifacts.clone());
+        }
+        first.or_else(|| if room(job) { shard(state, job, holds) } else { None })
     };
-    jobs.find_map(of_job).or_else(|| {
+    jobs.find_map(&mut of_job).or_else(|| {
         let mut wanted = BTreeSet::new();
         state.asked.iter().for_each(|key| want(state, key, &mut wanted));
         build(state, &wanted)
@@ -38,6 +44,13 @@ pub fn needed(state: &State, job: &Job) -> BTreeSet<String> {
             want(state, key, &mut wanted);
         }
     }
+    wanted
+}
+
+/// All artifacts of a job that are not ready.
+fn unready(state: &State, job: &Job) -> BTreeSet<String> {
+    let mut wanted = BTreeSet::new();
+    job.artifacts.iter().for_each(|key| want(state, key, &mut wanted));
     wanted
 }
 

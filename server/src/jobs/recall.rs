@@ -79,7 +79,8 @@ pub(super) async fn commands(
             | Command::Fail { .. }
             | Command::Release { .. }
             | Command::Reap
-            | Command::Note(_) => {}
+            | Command::Note(_)
+            | Command::Sweep(_) => {}
         }
     }
     let mut recalled = Recalled { artifacts: artifacts(db, state, keys).await?, ..Recalled::default() };

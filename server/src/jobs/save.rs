@@ -1,4 +1,4 @@
-//! What a batch of steps changed, as one call to the database: `save.sql`.
+//! What a batch of steps changed, as one statement: a row put into the view of `save.sql`.
 
 use serde_json::{Value, json};
 use sqlx::sqlite::SqliteConnection;
@@ -8,7 +8,7 @@ use super::lease::{Lease, Phase};
 use super::state::{Artifact, Chunk, Job, JobState, Shard, State};
 use super::store::StoreError;
 
-/// Tables in the order of the statements' parameters; new jobs and changed ones are two.
+/// Rows for the columns of the view, in their order.
 #[derive(Default)]
 struct Tables {
     new_jobs: Vec<Value>,
@@ -23,7 +23,13 @@ struct Tables {
     alarms: Vec<Value>,
 }
 
-/// Writes rows as the state has them now, in one transaction. After an error the connection may still be inside of it.
+/// Prepares a connection for [`save`].
+pub(super) async fn prepare(db: &mut SqliteConnection) -> Result<(), StoreError> {
+    sqlx::raw_sql(include_str!("save.sql")).execute(db).await?;
+    Ok(())
+}
+
+/// Writes rows as the state has them now, all or none.
 pub(super) async fn save(
     db: &mut SqliteConnection,
     state: &State,
@@ -36,7 +42,7 @@ pub(super) async fn save(
         tables.documents.push(json!({"id": id, "text": &**text}));
     }
     effects.records.iter().for_each(|record| tables.record(record, now_ms));
-    let mut query = sqlx::query(include_str!("save.sql"));
+    let mut query = sqlx::query("INSERT INTO batch VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
     for rows in tables.in_order() {
         let text = serde_json::to_string(&rows).map_err(|error| StoreError::Row(error.to_string()))?;
         query = query.bind(text);

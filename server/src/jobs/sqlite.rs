@@ -19,9 +19,10 @@ use sqlx::{ConnectOptions as _, SqlSafeStr as _};
 use super::command::{Command, Effects};
 use super::index::KEPT_JOBS;
 use super::recall;
-use super::save::save;
+use super::save::{prepare, save};
 use super::state::State;
 use super::step::step;
+use super::sweep::sweep;
 use super::store::{Batch, Documents, JobStore, StoreError};
 
 /// The tables, step by step.
@@ -58,6 +59,8 @@ pub fn options(path: &Path) -> SqliteConnectOptions {
         .create_if_missing(true)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Full)
+        .pragma("wal_autocheckpoint", "4000")
+        .pragma("cache_size", "-16000")
         .busy_timeout(Duration::from_secs(5))
         .foreign_keys(true)
         .disable_statement_logging()
@@ -80,6 +83,7 @@ impl SqliteStore {
     /// When the file cannot be opened, is of another program, or cannot be migrated.
     pub async fn open(path: &Path, now_ms: u64) -> Result<Self, StoreError> {
         let mut writer = connect(path).await?;
+        prepare(&mut writer).await?;
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
             .min_connections(0)
@@ -123,6 +127,12 @@ impl SqliteStore {
             save(&mut self.writer, &self.state, &all, now_ms).await?;
         }
         self.unsaved = false;
+        if let Some(what) = &all.sweep {
+            // What could not be deleted now is deleted the next time.
+            let swept = sweep(&mut self.writer, &self.state, what).await;
+            swept.unwrap_or_else(|error| tracing::error!(%error, "cannot delete what is over"));
+            self.texts.clear();
+        }
         if self.texts.len() > KEPT_TEXTS {
             self.texts.clear();
         }
@@ -133,10 +143,10 @@ impl SqliteStore {
         Ok(Batch { replies, recalled })
     }
 
-    /// Goes back to what the database says, over a new connection: on a full disk SQLite has rolled the transaction back by
-    /// itself, or not, and the old connection would believe otherwise.
+    /// Goes back to what the database says, over a new connection: the old one may be what failed.
     async fn reload(&mut self, now_ms: u64) -> Result<(), StoreError> {
         self.writer = options(&self.file).connect().await?;
+        prepare(&mut self.writer).await?;
         self.texts.clear();
         self.state = recall::load(&mut self.writer).await?;
         self.state.index(now_ms, false);

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use photoneye_store::BlobDigest;
 
-use super::command::{Command, Commit, Effects, NewArtifact, NewJob, Record, Reply, Row};
+use super::command::{Command, Commit, Effects, NewArtifact, NewJob, Record, Reply, Row, Sweep};
 use super::lease::{Lease, MAX_LOSSES, Phase, Verdict};
 use super::pick::pick;
 use super::state::{Artifact, Chunk, Job, JobState, Shard, State, Summary, WorkId};
@@ -37,6 +37,7 @@ pub fn step(state: &mut State, command: Command, now_ms: u64) -> (Reply, Effects
         Command::Reap => step.reap(),
         Command::LostArtifact(key) => step.lost_artifact(key),
         Command::LostChunk(job, frame, tile) => step.lost_chunk(&job, frame, tile),
+        Command::Sweep(what) => step.sweep(what),
         Command::Note(record) => {
             step.effects.records.push(record);
             Reply::Done
@@ -383,6 +384,21 @@ impl Step<'_> {
                 self.give_up(&id, &format!("its worker vanished {MAX_LOSSES} times"));
             }
         }
+        Reply::Done
+    }
+
+    fn sweep(&mut self, what: Sweep) -> Reply {
+        let next = self.state.next_number;
+        self.state.jobs.retain(|_, job| {
+            let old = job.finished_ms.is_some_and(|ms| ms < what.before_ms)
+                || job.number < next.saturating_sub(what.kept_jobs);
+            // From the latest the next one gets its number.
+            job.state.active() || !old || job.number + 1 == next
+        });
+        let jobs = &self.state.jobs;
+        self.state.requests.retain(|_, (job, _)| jobs.contains_key(job));
+        self.state.forget_artifacts();
+        self.effects.sweep = Some(what);
         Reply::Done
     }
 
