@@ -88,7 +88,8 @@ impl Service {
     }
 
     async fn view_plan(&self, prepared: &Prepared) -> Result<v1::Plan, Error> {
-        let keys: Vec<String> = prepared.planned.artifacts.iter().map(|artifact| artifact.key.clone()).collect();
+        let keys: Vec<String> =
+            prepared.planned.artifacts.iter().map(|artifact| artifact.key.clone()).collect();
         let look = |state: &crate::jobs::State| -> BTreeSet<String> {
             keys.iter().filter(|key| state.ready(key)).cloned().collect()
         };

@@ -13,7 +13,6 @@ mod janitor;
 pub mod jobs;
 mod listen;
 mod metrics;
-mod mosaic;
 mod prepare;
 mod quota;
 mod report;
@@ -23,6 +22,7 @@ pub mod service;
 pub mod spec;
 mod tls;
 mod transfer;
+mod uploads;
 mod view;
 
 use std::net::SocketAddr;

@@ -88,11 +88,7 @@ impl Service {
     ///
     /// # Errors
     /// The first field that does not fit.
-    pub(crate) async fn prepare(
-        &self,
-        caller: &Caller,
-        message: &v1::Experiment,
-    ) -> Result<Prepared, Error> {
+    pub(crate) async fn prepare(&self, caller: &Caller, message: &v1::Experiment) -> Result<Prepared, Error> {
         let mut bare = message.clone();
         let seed = bare.counts.as_mut().and_then(|counts| counts.seed.take());
         let key = blake3::hash(&bare.encode_to_vec());

@@ -4,9 +4,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::Stream;
-use photoneye_eye::display::Display;
-use photoneye_eye::experiment::Video;
-use photoneye_eye::video::{Limits as PictureLimits, clip_info};
 use photoneye_proto::{FieldError, v1};
 use photoneye_store::{BlobDigest, Blobs};
 
@@ -248,55 +245,6 @@ impl Service {
                 tokio::time::sleep(EVENT_PAUSE).await;
             }
         })
-    }
-
-    /// The clip's files are there and of the display's size; the number of frames of a film, `None` for pictures. Only headers are read.
-    pub(crate) async fn check_pictures(
-        &self,
-        caller: &Caller,
-        video: &Video,
-        display: &Display,
-    ) -> Result<Option<u32>, Error> {
-        let Video::Clip(clip) = video else {
-            return Ok(None);
-        };
-        let (width, height) = (display.width_px, display.height_px);
-        let mut seen = std::collections::BTreeSet::new();
-        let mut film = None;
-        for (i, text) in clip.blobs.iter().enumerate() {
-            if !seen.insert(text) {
-                continue;
-            }
-            let path = format!("video.clip.blobs[{i}]");
-            let digest: BlobDigest =
-                text.parse().map_err(|_| FieldError::new(path.clone(), "is not a digest"))?;
-            let found = match self.readable(caller, &digest).await {
-                Ok(()) => self.with_blobs(move |blobs| blobs.get(&digest)).await,
-                Err(error) => Err(error),
-            };
-            let bytes = match found {
-                Ok(bytes) => bytes,
-                Err(error) if error.kind == Kind::NotFound => {
-                    return Err(FieldError::new(path, format!("{}; upload it first", error.message)).into());
-                }
-                Err(error) => return Err(error),
-            };
-            let found = clip_info(&bytes, &clip.format, [width, height], PictureLimits::default());
-            let info = found.map_err(|error| FieldError::new(path.clone(), error.to_string()))?;
-            if (info.width, info.height) != (width, height) {
-                let message = format!(
-                    "the picture is {} x {} pixels, the display {width} x {height}",
-                    info.width, info.height
-                );
-                return Err(FieldError::new(path, message).into());
-            }
-            if info.frames > 1 && clip.blobs.len() > 1 {
-                let message = format!("a film of {} frames must be the only file", info.frames);
-                return Err(FieldError::new(path, message).into());
-            }
-            film = (info.frames > 1).then_some(info.frames);
-        }
-        Ok(film)
     }
 }
 

@@ -77,7 +77,7 @@ fn many_chunks_are_one_stream() {
     let mut bytes = Vec::new();
     for frame in 0..3 {
         let counts = CountsVec::U32(vec![frame, 7]);
-        bytes.extend(table.push(&Chunk { frame, tile: 0, first_cone: 10, counts }).unwrap());
+        bytes.extend(table.push(&Chunk { frame, tile: 0, first_cone: 10, counts }, 0).unwrap());
     }
     bytes.extend(table.finish().unwrap());
     let batches: Vec<_> = StreamReader::try_new(Cursor::new(bytes), None).unwrap().collect();

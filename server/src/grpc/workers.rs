@@ -38,8 +38,12 @@ impl Workers for Door {
         let most = self.0.limits.tenant_leases;
         loop {
             let wait = until.saturating_duration_since(tokio::time::Instant::now());
-            let leased =
-                self.0.machine.lease(most, request.worker(), local, &holds, wait).await.map_err(Error::from)?;
+            let leased = self
+                .0
+                .machine
+                .lease(most, request.worker(), local, &holds, wait)
+                .await
+                .map_err(Error::from)?;
             let Some((id, fence)) = leased else {
                 return Ok(Response::new(v1::LeaseReply {
                     work: Some(Work::Nothing(Nothing {})),

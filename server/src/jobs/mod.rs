@@ -2,8 +2,10 @@
 //!
 //! [`step()`] is the whole logic, without I/O; a store only keeps what it changed.
 
+mod accept;
 pub mod clock;
 pub mod command;
+mod ends;
 mod index;
 mod invariants;
 pub mod lease;
@@ -21,9 +23,9 @@ pub mod store;
 mod sweep;
 
 pub use command::{Command, Commit, NewArtifact, NewJob, Record, Reply, Sweep, Text};
-pub use recall::Recalled;
 pub use lease::{Lease, Phase};
 pub use machine::Machine;
+pub use recall::Recalled;
 pub use state::{Artifact, Chunk, Job, JobState, Shard, State};
 pub use step::step;
 pub use store::{JobStore, StoreError};

@@ -98,9 +98,9 @@ impl Tables {
             Record::Audit { tenant, who, action, object } => self.audit.push(
                 json!({"at_ms": at_ms, "tenant": tenant, "who": who, "action": action, "object": object}),
             ),
-            Record::Upload { tenant, digest } => self
-                .uploads
-                .push(json!({"at_ms": at_ms, "tenant": tenant, "digest": digest.to_string()})),
+            Record::Upload { tenant, digest } => {
+                self.uploads.push(json!({"at_ms": at_ms, "tenant": tenant, "digest": digest.to_string()}))
+            }
             Record::Alarm { work, first, second } => self.alarms.push(json!({
                 "at_ms": at_ms, "work": work, "first": first.to_string(), "second": second.to_string()})),
         }
@@ -180,7 +180,8 @@ fn with_lease(mut row: Value, lease: &Lease) -> Value {
 
 fn chunk(job: &str, frame: u32, tile: u32, chunk: &Chunk) -> Result<Value, StoreError> {
     // A text in the text: numbers keep their digits.
-    let summary = serde_json::to_string(&chunk.summary).map_err(|error| StoreError::Row(error.to_string()))?;
+    let summary =
+        serde_json::to_string(&chunk.summary).map_err(|error| StoreError::Row(error.to_string()))?;
     Ok(json!({
         "job": job,
         "frame": frame,

@@ -22,8 +22,8 @@ use super::recall;
 use super::save::{prepare, save};
 use super::state::State;
 use super::step::step;
-use super::sweep::sweep;
 use super::store::{Batch, Documents, JobStore, StoreError};
+use super::sweep::sweep;
 
 /// The tables, step by step.
 const MIGRATIONS: [(i64, &str, &str); 3] = [

@@ -7,7 +7,8 @@ use photoneye_server::jobs::memory::MemoryStore;
 use photoneye_server::jobs::sqlite::SqliteStore;
 use photoneye_server::jobs::state::{Summary, WorkId};
 use photoneye_server::jobs::{
-    Command, Commit, JobState, JobStore, Machine, NewArtifact, NewJob, Phase, Record, Reply, State, Sweep, Text, lease, step,
+    Command, Commit, JobState, JobStore, Machine, NewArtifact, NewJob, Phase, Record, Reply, State, Sweep,
+    Text, lease, step,
 };
 use photoneye_store::BlobDigest;
 use proptest::prelude::*;
@@ -99,9 +100,7 @@ fn a_superseded_lease_cannot_commit() {
     step(&mut state, create("a"), 0);
     let Reply::Leased(Some((id, old))) = step(&mut state, take("w"), 0).0 else { panic!() };
     step(&mut state, Command::Reap, lease::TTL_MS);
-    let Reply::Leased(Some((again, new))) = step(&mut state, take("w"), lease::TTL_MS).0 else {
-        panic!()
-    };
+    let Reply::Leased(Some((again, new))) = step(&mut state, take("w"), lease::TTL_MS).0 else { panic!() };
     assert_eq!(again, id);
     let late = commit(&state, id.clone(), old, 1);
     assert_eq!(step(&mut state, late, lease::TTL_MS).0, Reply::Held(false));
@@ -252,8 +251,7 @@ fn a_tenant_holds_no_more_leases_than_it_may() {
         step(&mut state, command, 0);
     }
     let take = |state: &mut State| {
-        let command =
-            Command::Lease { most: 2, worker: "w".into(), local: false, holds: BTreeSet::new() };
+        let command = Command::Lease { most: 2, worker: "w".into(), local: false, holds: BTreeSet::new() };
         let Reply::Leased(leased) = step(state, command, 0).0 else { panic!() };
         leased
     };
@@ -280,7 +278,9 @@ async fn a_clock_that_jumps_moves_no_lease() {
         store.execute(create("a"), before).await.unwrap();
         let mut leases = Vec::new();
         for worker in ["stays", "vanishes"] {
-            let Reply::Leased(Some(lease)) = store.execute(take(worker), before).await.unwrap() else { panic!() };
+            let Reply::Leased(Some(lease)) = store.execute(take(worker), before).await.unwrap() else {
+                panic!()
+            };
             leases.push(lease);
         }
         drop(store);
@@ -555,7 +555,9 @@ async fn speed_of_lease_and_commit() {
                         count += 1;
                     }
                     // What is built first is at work.
-                    _ if machine.read(|state| state.jobs["a"].state.active()) => tokio::task::yield_now().await,
+                    _ if machine.read(|state| state.jobs["a"].state.active()) => {
+                        tokio::task::yield_now().await
+                    }
                     _ => return count,
                 }
             }

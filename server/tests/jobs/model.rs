@@ -128,8 +128,12 @@ impl World {
     fn act(&mut self, deed: &Deed, by_name: bool) -> Result<(), String> {
         match deed {
             Deed::Lease(worker) => {
-                let command =
-                    Command::Lease { most: usize::MAX, worker: WORKERS[*worker].into(), local: false, holds: BTreeSet::new() };
+                let command = Command::Lease {
+                    most: usize::MAX,
+                    worker: WORKERS[*worker].into(),
+                    local: false,
+                    holds: BTreeSet::new(),
+                };
                 if let Reply::Leased(Some((id, fence))) = self.execute(command) {
                     assert!(!self.granted.contains_key(&id), "{id} was handed out twice");
                     self.granted.insert(id.clone(), (*worker, fence, self.now_ms + TTL_MS));

@@ -100,7 +100,8 @@ async fn grpc_readers(
 ) -> (Vec<tonic::Streaming<v1::ResultChunk>>, Vec<Channel>) {
     let (mut readers, mut channels) = (Vec::new(), Vec::new());
     for _ in 0..20 {
-        let small = endpoint(server).initial_stream_window_size(65_535).initial_connection_window_size(65_535);
+        let small =
+            endpoint(server).initial_stream_window_size(65_535).initial_connection_window_size(65_535);
         let channel = small.connect().await.unwrap();
         let request = v1::StreamResultsRequest { id: Some(id.to_owned()), from: None };
         let stream = ExperimentsClient::new(channel.clone()).stream_results(request).await;

@@ -59,7 +59,8 @@ async fn a_server_whose_clock_jumps_loses_and_doubles_nothing() {
     for later in [now - HOUR_MS, now + HOUR_MS] {
         let folder = tempfile::tempdir().unwrap();
         let server = start(folder.path()).await;
-        let id = post(server.local_addr(), "/v1/jobs", &spec()).await.json()["id"].as_str().unwrap().to_owned();
+        let id =
+            post(server.local_addr(), "/v1/jobs", &spec()).await.json()["id"].as_str().unwrap().to_owned();
         let address = server.local_addr();
         // Over TCP: a worker that does not die with the server.
         let connect = async |address| {
@@ -75,12 +76,17 @@ async fn a_server_whose_clock_jumps_loses_and_doubles_nothing() {
         let server = Server::start(options).await.unwrap();
         // Time enough for the leases to be looked over.
         tokio::time::sleep(std::time::Duration::from_millis(1500)).await;
-        let beat = v1::HeartbeatRequest { id: lease.id, fence: lease.fence, ..v1::HeartbeatRequest::default() };
+        let beat =
+            v1::HeartbeatRequest { id: lease.id, fence: lease.fence, ..v1::HeartbeatRequest::default() };
         let mut workers = connect(server.local_addr()).await;
         let kept = workers.heartbeat(beat.clone()).await.unwrap().into_inner();
         assert!(kept.keep(), "the lease is still the worker's");
-        let gone =
-            v1::FailRequest { id: beat.id, fence: beat.fence, message: Some("m".into()), deterministic: None };
+        let gone = v1::FailRequest {
+            id: beat.id,
+            fence: beat.fence,
+            message: Some("m".into()),
+            deterministic: None,
+        };
         assert!(workers.fail(gone).await.unwrap().into_inner().accepted());
         work(&server.channel()).await;
         let job = get(server.local_addr(), &format!("/v1/jobs/{id}")).await.json();
