@@ -63,7 +63,7 @@ impl Service {
         let plan = self.view_plan(&prepared).await?;
         let built = plan.artifacts.iter().filter(|artifact| artifact.cached()).count() as u64;
         self.check_size(&prepared).inspect_err(|_| self.refused())?;
-        self.check_load(caller, &prepared.planned.plan).await.inspect_err(|_| self.refused())?;
+        self.check_load(caller, &prepared.planned.plan).inspect_err(|_| self.refused())?;
         let artifacts = prepared.planned.artifacts.len() as u64;
         let job = new_job(caller, prepared, to_json(&plan)?, wish.request_id, priority as u8);
         match self.machine.execute(Command::Create(Box::new(job))).await? {
@@ -119,7 +119,7 @@ impl Service {
     }
 
     /// Bounds on all jobs and on a tenant's.
-    async fn check_load(&self, caller: &Caller, plan: &Plan) -> Result<(), Error> {
+    fn check_load(&self, caller: &Caller, plan: &Plan) -> Result<(), Error> {
         let count = |state: &crate::jobs::State| {
             (state.active.len(), state.queues.get(&caller.tenant).map_or(0, BTreeSet::len))
         };

@@ -42,9 +42,11 @@ pub struct Planned {
     pub shard_us: u64,
 }
 
+type Slot<T> = Arc<OnceCell<Arc<T>>>;
+
 /// What was made last, by the hash of what it was made from; who asks while it is being made waits for it.
 struct Recent<T> {
-    kept: Mutex<VecDeque<(blake3::Hash, Arc<OnceCell<Arc<T>>>)>>,
+    kept: Mutex<VecDeque<(blake3::Hash, Slot<T>)>>,
 }
 
 impl<T> Default for Recent<T> {

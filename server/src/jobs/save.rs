@@ -94,16 +94,20 @@ impl Tables {
 
     fn record(&mut self, record: &Record, now_ms: u64) {
         let at_ms = signed(now_ms);
-        match record {
-            Record::Audit { tenant, who, action, object } => self.audit.push(
+        let (table, row) = match record {
+            Record::Audit { tenant, who, action, object } => (
+                &mut self.audit,
                 json!({"at_ms": at_ms, "tenant": tenant, "who": who, "action": action, "object": object}),
             ),
             Record::Upload { tenant, digest } => {
-                self.uploads.push(json!({"at_ms": at_ms, "tenant": tenant, "digest": digest.to_string()}))
+                (&mut self.uploads, json!({"at_ms": at_ms, "tenant": tenant, "digest": digest.to_string()}))
             }
-            Record::Alarm { work, first, second } => self.alarms.push(json!({
-                "at_ms": at_ms, "work": work, "first": first.to_string(), "second": second.to_string()})),
-        }
+            Record::Alarm { work, first, second } => {
+                let (first, second) = (first.to_string(), second.to_string());
+                (&mut self.alarms, json!({"at_ms": at_ms, "work": work, "first": first, "second": second}))
+            }
+        };
+        table.push(row);
     }
 }
 

@@ -109,7 +109,7 @@ impl Documents {
         match self {
             Self::Memory(texts) => {
                 let texts = texts.lock().unwrap_or_else(PoisonError::into_inner);
-                Ok(texts.get(id).map(|text| text.to_string()))
+                Ok(texts.get(id).map(ToString::to_string))
             }
             Self::Sqlite(pool) => Ok(sqlx::query_scalar("SELECT text FROM documents WHERE id = ?")
                 .bind(id.to_owned())

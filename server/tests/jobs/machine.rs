@@ -266,6 +266,52 @@ fn a_tenant_holds_no_more_leases_than_it_may() {
     assert_eq!(state.holding["loud"], 2);
 }
 
+/// The readers' copy says what the database says, for jobs at hand, forgotten ones, and one that came back to work.
+#[tokio::test]
+async fn readers_see_what_is_stored() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("jobs.db");
+    let store = SqliteStore::open(&file, 0).await.unwrap().keep(1);
+    let machine = Machine::new(store, Clock::new());
+    let work = async || {
+        while let Reply::Leased(Some((id, fence))) = machine.execute(take("w")).await.unwrap() {
+            let command = machine.read(|state| commit(state, id, fence, 0));
+            assert_eq!(machine.execute(command).await.unwrap(), Reply::Held(true));
+        }
+    };
+    let ids: Vec<String> = (0..8).map(|number| format!("job {number}")).collect();
+    for id in &ids {
+        machine.execute(create(id)).await.unwrap();
+        if id == "job 5" {
+            machine.execute(take("gone")).await.unwrap();
+            machine.execute(Command::Cancel(id.clone())).await.unwrap();
+        }
+        work().await;
+    }
+    assert!(machine.read(|state| !state.jobs.contains_key("job 0")), "forgotten");
+    // Read before, so that the readers remember it as it was.
+    let lost = || machine.read_job("job 0", |state| state.jobs["job 0"].state);
+    assert_eq!(lost().await.unwrap(), JobState::Succeeded);
+    machine.execute(Command::LostChunk("job 0".into(), 3, 1)).await.unwrap();
+    assert_eq!(lost().await.unwrap(), JobState::Running);
+    work().await;
+    machine.execute(create("at work")).await.unwrap();
+    machine.execute(take("w")).await.unwrap();
+
+    let mut stored = SqliteStore::open(&file, 0).await.unwrap();
+    for id in ids.iter().map(String::as_str).chain(["at work"]) {
+        stored.recall_job(id).await.unwrap();
+        let read = machine.read_job(id, |state| state.jobs[id].clone()).await.unwrap();
+        let [read, stored] = [read, stored.state().jobs[id].clone()].map(|mut job| {
+            job.open.retain(|_, shards| !shards.is_empty());
+            job.shards.iter_mut().for_each(|shard| shard.lease.expires_ms = 0);
+            job
+        });
+        assert_eq!(read, stored);
+    }
+    assert!(machine.read_job("no such job", |state| state.jobs.is_empty()).await.unwrap());
+}
+
 /// The clock of a server that was away is an hour behind or before: who holds a lease keeps it, who vanished loses it after one
 /// term, and nothing is doubled.
 #[tokio::test]
@@ -556,7 +602,7 @@ async fn speed_of_lease_and_commit() {
                     }
                     // What is built first is at work.
                     _ if machine.read(|state| state.jobs["a"].state.active()) => {
-                        tokio::task::yield_now().await
+                        tokio::task::yield_now().await;
                     }
                     _ => return count,
                 }
