@@ -47,6 +47,8 @@ pub struct LimitSettings {
     pub active_jobs: Option<usize>,
     /// Those of one tenant.
     pub tenant_jobs: Option<usize>,
+    /// Shards of one tenant that are at work at the same time.
+    pub tenant_leases: Option<usize>,
     /// Predicted CPU seconds of one job.
     pub job_seconds: Option<f64>,
     /// Predicted bytes of memory of one job.
@@ -57,6 +59,12 @@ pub struct LimitSettings {
     pub burst_seconds: Option<f64>,
     /// And in the long run, a second.
     pub rate: Option<f64>,
+    /// Jobs that are remembered, the latest.
+    pub kept_jobs: Option<u64>,
+    /// Records of the audit that are kept, the latest.
+    pub kept_audit: Option<u64>,
+    /// Days after which ended jobs and records are deleted.
+    pub keep_days: Option<f64>,
 }
 
 /// A server and how to get in.
@@ -141,11 +149,15 @@ impl Settings {
         photoneye_server::Limits {
             active_jobs: set.active_jobs.unwrap_or(default.active_jobs),
             tenant_jobs: set.tenant_jobs.unwrap_or(default.tenant_jobs),
+            tenant_leases: set.tenant_leases.unwrap_or(default.tenant_leases),
             job_seconds: set.job_seconds.unwrap_or(default.job_seconds),
             job_bytes: set.job_bytes.unwrap_or(default.job_bytes),
             job_cones: set.job_cones.unwrap_or(default.job_cones),
             burst_seconds: set.burst_seconds.unwrap_or(default.burst_seconds),
             rate: set.rate.unwrap_or(default.rate),
+            kept_jobs: set.kept_jobs.unwrap_or(default.kept_jobs),
+            kept_audit: set.kept_audit.unwrap_or(default.kept_audit),
+            keep_days: set.keep_days.or(default.keep_days),
             ..default
         }
     }

@@ -1,57 +1,18 @@
 //! From a message to a job: validation, plan, limits, and the place in the queue.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use photoneye_eye::experiment::Experiment;
-use photoneye_eye::plan::{Machine, Plan, PlanError};
+use photoneye_eye::plan::Plan;
 use photoneye_proto::{FieldError, v1};
 
 use crate::access::Caller;
 use crate::error::{Error, Kind};
-use crate::jobs::{Command, NewArtifact, NewJob, Reply};
+use crate::jobs::{Command, NewJob, Reply, Text};
+use crate::prepare::Prepared;
 use crate::service::{Service, unexpected};
-use crate::{spec, view};
-
-/// Plans kept.
-const KEPT: usize = 32;
-
-/// A validated experiment with its plan.
-pub struct Prepared {
-    /// The experiment, the model's own JSON.
-    experiment_json: String,
-    frames: u32,
-    plan: Plan,
-    artifacts: Vec<NewArtifact>,
-    shard_us: u64,
-}
-
-/// The last plans by the experiment's digest: the same experiment again costs no planning.
-#[derive(Default)]
-pub struct Plans {
-    kept: Mutex<VecDeque<(String, Arc<Prepared>)>>,
-}
-
-impl Plans {
-    fn get(&self, digest: &str) -> Option<Arc<Prepared>> {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let place = kept.iter().position(|(name, _)| name == digest)?;
-        let entry = kept.remove(place)?;
-        let prepared = Arc::clone(&entry.1);
-        kept.push_back(entry);
-        Some(prepared)
-    }
-
-    fn keep(&self, digest: String, prepared: &Arc<Prepared>) {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        kept.push_back((digest, Arc::clone(prepared)));
-        while kept.len() > KEPT {
-            kept.pop_front();
-        }
-    }
-}
+use crate::view;
 
 /// How a job is asked for.
 #[derive(Clone, Debug, Default)]
@@ -71,7 +32,7 @@ impl Service {
         let prepared = self.prepare(caller, message).await?;
         Ok(v1::PlanReply {
             plan: Some(self.view_plan(&prepared).await?),
-            experiment_json: Some(prepared.experiment_json.clone()),
+            experiment_json: Some(prepared.experiment_json),
         })
     }
 
@@ -95,19 +56,20 @@ impl Service {
         if let Some(id) = &wish.request_id {
             let request = request_name(caller, id);
             if let Some((job, body)) = self.machine.documents().request(&request).await? {
-                let same = body == prepared.plan.experiment.to_string();
+                let same = body == prepared.digest;
                 return if same { Ok((self.job(&job).await?, false)) } else { Err(other_body()) };
             }
         }
         let plan = self.view_plan(&prepared).await?;
         let built = plan.artifacts.iter().filter(|artifact| artifact.cached()).count() as u64;
         self.check_size(&prepared).inspect_err(|_| self.refused())?;
-        self.check_load(caller, &prepared.plan).await.inspect_err(|_| self.refused())?;
-        let job = new_job(caller, &prepared, to_json(&plan)?, wish.request_id, priority as u8);
+        self.check_load(caller, &prepared.planned.plan).inspect_err(|_| self.refused())?;
+        let artifacts = prepared.planned.artifacts.len() as u64;
+        let job = new_job(caller, prepared, to_json(&plan)?, wish.request_id, priority as u8);
         match self.machine.execute(Command::Create(Box::new(job))).await? {
             Reply::Created(id, new) => {
                 if new {
-                    let misses = prepared.artifacts.len() as u64 - built;
+                    let misses = artifacts - built;
                     self.metrics.artifact_hits.fetch_add(built, Ordering::Relaxed);
                     self.metrics.artifact_misses.fetch_add(misses, Ordering::Relaxed);
                     tracing::info!(job = id, tenant = caller.tenant, "accepted");
@@ -126,40 +88,22 @@ impl Service {
     }
 
     async fn view_plan(&self, prepared: &Prepared) -> Result<v1::Plan, Error> {
-        let keys: Vec<String> = prepared.artifacts.iter().map(|artifact| artifact.key.clone()).collect();
+        let keys: Vec<String> =
+            prepared.planned.artifacts.iter().map(|artifact| artifact.key.clone()).collect();
         let look = |state: &crate::jobs::State| -> BTreeSet<String> {
             keys.iter().filter(|key| state.ready(key)).cloned().collect()
         };
-        let mut built = self.machine.read(look).await;
+        let mut built = self.machine.read(look);
         if built.len() < keys.len() {
             built.extend(self.machine.documents().built(&keys).await?);
         }
-        Ok(view::plan(&prepared.plan, |key| built.contains(key)))
-    }
-
-    /// The one way from a message to an experiment and its plan.
-    async fn prepare(&self, caller: &Caller, message: &v1::Experiment) -> Result<Arc<Prepared>, Error> {
-        let mut experiment = spec::experiment(message)?;
-        let film = self.check_pictures(caller, &experiment.video, &experiment.display).await?;
-        if let (Some(frames), None) = (film, message.frames.and_then(|frames| frames.count)) {
-            experiment.frames = frames;
-        }
-        self.check_mosaic(caller, &experiment.retina).await?;
-        let digest = experiment.digest().map_err(|error| Error::new(Kind::Internal, error.to_string()))?;
-        let digest = digest.to_string();
-        if let Some(prepared) = self.plans.get(&digest) {
-            return Ok(prepared);
-        }
-        let speed = self.speed;
-        let prepared = Arc::new(tokio::task::spawn_blocking(move || prepared(&experiment, &speed)).await??);
-        self.plans.keep(digest, &prepared);
-        Ok(prepared)
+        Ok(view::plan(&prepared.planned.plan, &prepared.digest, |key| built.contains(key)))
     }
 
     /// Bounds on one job; the error says the number.
     fn check_size(&self, prepared: &Prepared) -> Result<(), Error> {
-        let (plan, limits) = (&prepared.plan, &self.limits);
-        let chunks = u64::from(prepared.frames) * plan.tile_artifacts.len() as u64;
+        let (plan, limits) = (&prepared.planned.plan, &self.limits);
+        let chunks = u64::from(prepared.planned.frames) * plan.tile_artifacts.len() as u64;
         for (what, value, limit) in [
             ("bytes of memory", plan.predicted_bytes, limits.job_bytes),
             ("CPU seconds", plan.predicted_seconds, limits.job_seconds),
@@ -175,11 +119,11 @@ impl Service {
     }
 
     /// Bounds on all jobs and on a tenant's.
-    async fn check_load(&self, caller: &Caller, plan: &Plan) -> Result<(), Error> {
+    fn check_load(&self, caller: &Caller, plan: &Plan) -> Result<(), Error> {
         let count = |state: &crate::jobs::State| {
             (state.active.len(), state.queues.get(&caller.tenant).map_or(0, BTreeSet::len))
         };
-        let (all, mine) = self.machine.read(count).await;
+        let (all, mine) = self.machine.read(count);
         let busy = |message: String| Error::new(Kind::Busy, message);
         if all >= self.limits.active_jobs {
             return Err(busy(format!(
@@ -205,52 +149,26 @@ impl Service {
     }
 }
 
-/// Plans an experiment; takes milliseconds.
-fn prepared(experiment: &Experiment, speed: &Machine) -> Result<Prepared, Error> {
-    let plan = photoneye_eye::plan::plan_on(experiment, speed).map_err(|error| match error {
-        PlanError::Range(error) => Error::from(spec::field_error(error)),
-        PlanError::Model(message) => Error::new(Kind::Invalid, message),
-    })?;
-    let artifacts = plan.artifacts.iter().map(|artifact| {
-        Ok(NewArtifact {
-            key: artifact.key.to_string(),
-            kind: artifact.spec.kind().to_owned(),
-            spec_json: to_json(&artifact.spec)?,
-            inputs: artifact.inputs.iter().map(ToString::to_string).collect(),
-            predicted_us: micros(artifact.predicted_seconds),
-        })
-    });
-    let artifacts = artifacts.collect::<Result<_, Error>>()?;
-    let built: f64 = plan.artifacts.iter().map(|artifact| artifact.predicted_seconds).sum();
-    Ok(Prepared {
-        experiment_json: to_json(experiment)?,
-        frames: experiment.frames,
-        shard_us: micros((plan.predicted_seconds - built) / (plan.shards.len() as f64).max(1.0)),
-        artifacts,
-        plan,
-    })
-}
-
 fn new_job(
     caller: &Caller,
-    prepared: &Prepared,
+    prepared: Prepared,
     plan_json: String,
     request_id: Option<String>,
     priority: u8,
 ) -> NewJob {
-    let plan = &prepared.plan;
-    let digest = plan.experiment.to_string();
+    let Prepared { planned, digest, experiment_json } = prepared;
+    let plan = &planned.plan;
     let tiles = plan.tile_artifacts.iter().map(|keys| keys.iter().map(ToString::to_string).collect());
     let shards = plan.shards.iter().map(|shard| (shard.first_frame, shard.frame_count, shard.tile));
     NewJob {
         id: new_id(&digest),
-        experiment_json: prepared.experiment_json.clone(),
-        plan_json,
-        frames: prepared.frames,
-        artifacts: prepared.artifacts.clone(),
+        experiment: Text::of(experiment_json),
+        plan: Text::of(plan_json),
+        frames: planned.frames,
+        artifacts: planned.artifacts.clone(),
         tiles: tiles.collect(),
         shards: shards.collect(),
-        shard_us: prepared.shard_us,
+        shard_us: planned.shard_us,
         request: request_id.map(|id| (request_name(caller, &id), digest.clone())),
         experiment_digest: digest,
         tenant: caller.tenant.clone(),
@@ -268,11 +186,8 @@ fn other_body() -> Error {
     Error::new(Kind::OtherBody, "this key came with another experiment before")
 }
 
-fn micros(seconds: f64) -> u64 {
-    (seconds * 1e6).clamp(1.0, 1e18) as u64
-}
-
-fn to_json<T: serde::Serialize>(value: &T) -> Result<String, Error> {
+/// Text of a value that is ours.
+pub(crate) fn to_json<T: serde::Serialize>(value: &T) -> Result<String, Error> {
     serde_json::to_string(value).map_err(|error| Error::new(Kind::Internal, error.to_string()))
 }
 

@@ -1,5 +1,5 @@
 //! Keeps the blob store within a size: what was not read for longest goes first. Results and artifacts are made again when
-//! somebody asks; uploads cannot be, and what a job at work needs stays too.
+//! somebody asks; uploads cannot be, and what a job at work needs stays too. And it has old jobs and records deleted.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, SystemTime};
@@ -7,11 +7,13 @@ use std::time::{Duration, SystemTime};
 use photoneye_store::{BlobDigest, FolderStore};
 
 use crate::error::Error;
-use crate::jobs::State;
+use crate::jobs::{Command, State, Sweep};
 use crate::service::Service;
 
 /// How often it looks.
 const EVERY: Duration = Duration::from_mins(1);
+/// How often it has old rows deleted.
+const SWEEP_EVERY: Duration = Duration::from_hours(1);
 /// Younger than this stays: it may be on its way into a commit.
 const YOUNG: Duration = Duration::from_mins(10);
 
@@ -32,6 +34,24 @@ impl Service {
         }
     }
 
+    /// Has old jobs and records deleted, for ever.
+    pub(crate) async fn sweep(&self) {
+        let limits = &self.limits;
+        let mut tick = tokio::time::interval(SWEEP_EVERY);
+        loop {
+            tick.tick().await;
+            let kept_ms = limits.keep_days.map(|days| (days * 86_400_000.0) as u64);
+            let sweep = Sweep {
+                before_ms: kept_ms.map_or(0, |kept_ms| self.machine.now_ms().saturating_sub(kept_ms)),
+                kept_jobs: limits.kept_jobs,
+                kept_audit: limits.kept_audit,
+            };
+            if let Err(error) = self.machine.execute(Command::Sweep(sweep)).await {
+                tracing::error!(%error, "cannot delete what is over");
+            }
+        }
+    }
+
     /// Removes blobs until the rest fits; says how many.
     pub(crate) async fn evict(
         &self,
@@ -45,7 +65,7 @@ impl Service {
         if bytes <= most_bytes {
             return Ok(0);
         }
-        let pins = self.machine.read(in_use).await;
+        let pins = self.machine.read(in_use);
         let mut count = 0;
         for (time, digest) in list {
             let age = SystemTime::now().duration_since(time).unwrap_or_default();

@@ -13,7 +13,7 @@ mod janitor;
 pub mod jobs;
 mod listen;
 mod metrics;
-mod mosaic;
+mod prepare;
 mod quota;
 mod report;
 mod rest;
@@ -22,6 +22,7 @@ pub mod service;
 pub mod spec;
 mod tls;
 mod transfer;
+mod uploads;
 mod view;
 
 use std::net::SocketAddr;
@@ -41,7 +42,7 @@ pub use service::Limits;
 
 use access::Access;
 use jobs::Machine;
-use jobs::machine::Clock;
+use jobs::clock::Clock;
 use jobs::sqlite::SqliteStore;
 use photoneye_eye::plan::Machine as Speed;
 use quota::Quota;
@@ -62,6 +63,8 @@ pub struct Options {
     pub limits: Limits,
     /// Most bytes of blobs; `None`: as many as the disk holds.
     pub store_max_bytes: Option<u64>,
+    /// The time that leases and records go by.
+    pub clock: Clock,
 }
 
 impl Options {
@@ -74,6 +77,7 @@ impl Options {
             tls: None,
             limits: Limits::default(),
             store_max_bytes: None,
+            clock: Clock::new(),
         }
     }
 }
@@ -122,7 +126,7 @@ impl Server {
         let blobs = FolderStore::open(&options.data_dir)?;
         let lock = lock(&options.data_dir).await?;
         let file = options.data_dir.join("photoneye.db");
-        let clock = Clock::new();
+        let clock = options.clock;
         let opened = SqliteStore::open(&file, clock.now_ms()).await;
         let store = opened.map_err(|error| StartError::Database(file.clone(), error))?;
         let machine = Machine::new(store, clock);
@@ -135,7 +139,7 @@ impl Server {
             quota: Quota::new(limits.burst_seconds, limits.rate),
             fleet: fleet::Fleet::default(),
             metrics: metrics::Metrics::default(),
-            plans: admit::Plans::default(),
+            plans: prepare::Plans::default(),
             speed: speed(&options.data_dir),
         });
         let keys = service.access.asks().await.map_err(|error| StartError::Database(file, error))?;
@@ -156,6 +160,7 @@ impl Server {
                     () = listen::serve(listener, tls, receiver, routes, stop) => {}
                     () = service.machine.reap() => {}
                     () = service.keep_size(&blobs, options.store_max_bytes) => {}
+                    () = service.sweep() => {}
                 }
                 service.machine.stop().await;
                 drop(service);

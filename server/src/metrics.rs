@@ -18,6 +18,10 @@ pub struct Metrics {
     pub artifact_hits: AtomicU64,
     /// Artifacts that a new job needs built.
     pub artifact_misses: AtomicU64,
+    /// Blobs that workers found in their local copies.
+    pub worker_hits: AtomicU64,
+    /// Blobs that workers fetched.
+    pub worker_misses: AtomicU64,
     /// Jobs refused because of a limit.
     pub refused: AtomicU64,
     /// Bytes of results sent.
@@ -93,6 +97,8 @@ impl Metrics {
                 &self.artifact_hits,
             ),
             ("artifact_misses_total", "Artifacts that a new job needs built.", &self.artifact_misses),
+            ("worker_cache_hits_total", "Blobs that workers found in their local copies.", &self.worker_hits),
+            ("worker_cache_misses_total", "Blobs that workers fetched.", &self.worker_misses),
             ("refused_jobs_total", "Jobs refused because of a limit.", &self.refused),
             ("result_bytes_total", "Bytes of results sent.", &self.result_bytes),
             ("fenced_writes_total", "Writes refused because the lease was taken away.", &self.fenced),

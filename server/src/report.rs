@@ -23,6 +23,8 @@ struct Facts {
     artifacts: Value,
     frames: Value,
     wall_seconds: f64,
+    /// Names of the documents that hold experiment and plan.
+    texts: [String; 2],
 }
 
 impl Service {
@@ -46,8 +48,8 @@ impl Service {
             }
         }
         merged.audit.sort_by_key(|s| (s.frame, s.tile, s.cone));
-        let plan: Value = self.stored(&format!("plan/{id}")).await?;
-        let spec: Value = self.stored(&format!("experiment/{id}")).await?;
+        let plan: Value = self.stored(&facts.texts[1]).await?;
+        let spec: Value = self.stored(&facts.texts[0]).await?;
         Ok(json!({
             "id": id,
             "spec": spec,
@@ -152,6 +154,7 @@ fn facts(state: &State, job: &Job) -> Facts {
         artifacts: artifacts.into(),
         frames: frames(job),
         wall_seconds: ended.saturating_sub(job.created_ms) as f64 / 1e3,
+        texts: [job.experiment_text.clone(), job.plan_text.clone()],
     }
 }
 

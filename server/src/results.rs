@@ -10,7 +10,7 @@ use photoneye_proto::v1;
 use photoneye_store::BlobDigest;
 use photoneye_store::npy::{self, Scalar};
 use photoneye_store::photons::{PhotonsTable, read_photons};
-use photoneye_store::table::{Chunk, CountsTable, CountsVec, read_counts};
+use photoneye_store::table::{Chunk, CountsTable, CountsVec, read_counts, read_counts_le};
 
 use crate::error::{Error, Kind};
 use crate::jobs::{Command, JobState};
@@ -143,8 +143,11 @@ impl Service {
         Ok(async_stream::try_stream! {
             let mut table = CountsTable::new(means)?;
             for await chunk in chunks {
-                let chunk = read_counts(chunk?.bytes())?;
-                yield Bytes::from(table.push(&chunk)?);
+                let bytes = chunk?.bytes.unwrap_or_default();
+                let chunk = tokio::task::spawn_blocking(move || read_counts(&bytes)).await??;
+                for from in (0..chunk.counts.len()).step_by(CountsTable::ROWS) {
+                    yield Bytes::from(table.push(&chunk, from)?);
+                }
             }
             yield Bytes::from(table.finish()?);
         })
@@ -163,11 +166,8 @@ impl Service {
         Ok(async_stream::try_stream! {
             yield Bytes::from(npy::header(scalar, &[frames as usize, cones as usize]));
             for (frame, tile, digest) in places {
-                let chunk = self.read_chunk(&id, frame, tile, digest).await?;
-                yield match chunk.counts {
-                    CountsVec::U32(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
-                    CountsVec::F32(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect::<Bytes>(),
-                };
+                let bytes = self.chunk_bytes(&id, frame, tile, digest).await?;
+                yield Bytes::from_owner(tokio::task::spawn_blocking(move || read_counts_le(&bytes)).await??);
             }
         })
     }
@@ -255,7 +255,8 @@ impl Service {
     /// # Errors
     /// When there is no such job.
     pub async fn experiment(&self, id: &str) -> Result<photoneye_eye::experiment::Experiment, Error> {
-        let text = self.machine.document(&format!("experiment/{id}")).await?;
+        let name = self.look(id, |_, job| job.experiment_text.clone()).await?;
+        let text = self.machine.document(&name).await?;
         let text = text.ok_or_else(|| crate::service::no_job(id))?;
         serde_json::from_str(&text).map_err(|error| Error::new(Kind::Internal, error.to_string()))
     }

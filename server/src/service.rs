@@ -4,18 +4,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::Stream;
-use photoneye_eye::display::Display;
-use photoneye_eye::experiment::Video;
-use photoneye_eye::video::{Limits as PictureLimits, clip_info};
 use photoneye_proto::{FieldError, v1};
 use photoneye_store::{BlobDigest, Blobs};
 
 use crate::access::{Access, Caller, Role};
-use crate::admit::Plans;
 use crate::error::{Error, Kind};
 use crate::fleet::Fleet;
 use crate::jobs::{Command, Job, Machine, Record, Reply, State};
 use crate::metrics::Metrics;
+use crate::prepare::Plans;
 use crate::quota::Quota;
 use crate::view;
 
@@ -32,6 +29,8 @@ pub struct Limits {
     pub blob_bytes: u64,
     /// Jobs of one tenant that are not finished.
     pub tenant_jobs: usize,
+    /// Shards of one tenant that are at work at the same time.
+    pub tenant_leases: usize,
     /// Predicted cones of a job.
     pub job_cones: f64,
     /// Frames of a job times its result tiles.
@@ -40,6 +39,12 @@ pub struct Limits {
     pub burst_seconds: f64,
     /// Predicted work that a tenant may ask for in the long run, CPU seconds a second.
     pub rate: f64,
+    /// Jobs that are remembered, the latest; those at work always.
+    pub kept_jobs: u64,
+    /// Records of the audit that are kept, the latest.
+    pub kept_audit: u64,
+    /// Jobs that ended and records older than so many days are deleted; `None`: only by number.
+    pub keep_days: Option<f64>,
 }
 
 impl Default for Limits {
@@ -50,10 +55,14 @@ impl Default for Limits {
             job_seconds: 30.0 * 86400.0,
             blob_bytes: 4 << 30,
             tenant_jobs: 5_000,
+            tenant_leases: 1_000,
             job_cones: 20e6,
             job_chunks: 4_000_000,
             burst_seconds: 30.0 * 86400.0,
             rate: 1000.0,
+            kept_jobs: 1_000_000,
+            kept_audit: 1_000_000,
+            keep_days: None,
         }
     }
 }
@@ -101,8 +110,9 @@ impl Service {
     /// # Errors
     /// When there is no such job.
     pub async fn job(&self, id: &str) -> Result<v1::Job, Error> {
-        let mut job = self.look(id, view::job).await?;
-        let plan = self.machine.document(&format!("plan/{id}")).await?;
+        let look = |state: &State, job: &Job| (view::job(state, job), job.plan_text.clone());
+        let (mut job, plan) = self.look(id, look).await?;
+        let plan = self.machine.document(&plan).await?;
         job.plan = plan.and_then(|text| photoneye_proto::from_json(&text).ok());
         Ok(job)
     }
@@ -147,7 +157,7 @@ impl Service {
             let view = |job: &Job| view::job(state, state.jobs.get(&job.id).unwrap_or(job));
             jobs.iter().map(view).collect()
         };
-        Ok(v1::ListJobsReply { next_page, jobs: self.machine.read(view).await })
+        Ok(v1::ListJobsReply { next_page, jobs: self.machine.read(view) })
     }
 
     /// Refuses the job of another tenant as if it were not there.
@@ -237,55 +247,6 @@ impl Service {
                 tokio::time::sleep(EVENT_PAUSE).await;
             }
         })
-    }
-
-    /// The clip's files are there and of the display's size; the number of frames of a film, `None` for pictures. Only headers are read.
-    pub(crate) async fn check_pictures(
-        &self,
-        caller: &Caller,
-        video: &Video,
-        display: &Display,
-    ) -> Result<Option<u32>, Error> {
-        let Video::Clip(clip) = video else {
-            return Ok(None);
-        };
-        let (width, height) = (display.width_px, display.height_px);
-        let mut seen = std::collections::BTreeSet::new();
-        let mut film = None;
-        for (i, text) in clip.blobs.iter().enumerate() {
-            if !seen.insert(text) {
-                continue;
-            }
-            let path = format!("video.clip.blobs[{i}]");
-            let digest: BlobDigest =
-                text.parse().map_err(|_| FieldError::new(path.clone(), "is not a digest"))?;
-            let found = match self.readable(caller, &digest).await {
-                Ok(()) => self.with_blobs(move |blobs| blobs.get(&digest)).await,
-                Err(error) => Err(error),
-            };
-            let bytes = match found {
-                Ok(bytes) => bytes,
-                Err(error) if error.kind == Kind::NotFound => {
-                    return Err(FieldError::new(path, format!("{}; upload it first", error.message)).into());
-                }
-                Err(error) => return Err(error),
-            };
-            let found = clip_info(&bytes, &clip.format, [width, height], PictureLimits::default());
-            let info = found.map_err(|error| FieldError::new(path.clone(), error.to_string()))?;
-            if (info.width, info.height) != (width, height) {
-                let message = format!(
-                    "the picture is {} x {} pixels, the display {width} x {height}",
-                    info.width, info.height
-                );
-                return Err(FieldError::new(path, message).into());
-            }
-            if info.frames > 1 && clip.blobs.len() > 1 {
-                let message = format!("a film of {} frames must be the only file", info.frames);
-                return Err(FieldError::new(path, message).into());
-            }
-            film = (info.frames > 1).then_some(info.frames);
-        }
-        Ok(film)
     }
 }
 

@@ -5,8 +5,8 @@ use photoneye_proto::v1;
 
 use crate::jobs::{Job, JobState, Phase, State};
 
-/// A plan; `cached` says which artifacts are there already.
-pub fn plan(plan: &Plan, cached: impl Fn(&str) -> bool) -> v1::Plan {
+/// The plan of an experiment; `cached` says which artifacts are there already.
+pub fn plan(plan: &Plan, experiment: &str, cached: impl Fn(&str) -> bool) -> v1::Plan {
     let artifacts = plan.artifacts.iter().map(|artifact| {
         let key = artifact.key.to_string();
         v1::PlannedArtifact {
@@ -37,7 +37,7 @@ pub fn plan(plan: &Plan, cached: impl Fn(&str) -> bool) -> v1::Plan {
     let frames = plan.shards.iter().map(|shard| shard.first_frame + shard.frame_count).max();
     let region = &plan.region;
     v1::Plan {
-        experiment_digest: Some(plan.experiment.to_string()),
+        experiment_digest: Some(experiment.to_owned()),
         engine: Some(plan.engine.clone()),
         engine_reason: Some(plan.engine_reason.clone()),
         region_um: vec![region.min.x, region.max.x, region.min.y, region.max.y],

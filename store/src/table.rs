@@ -325,14 +325,42 @@ pub fn read_counts(bytes: &[u8]) -> Result<Chunk, TableError> {
     })
 }
 
+/// The counts of one chunk as the little-endian bytes of their type, without the rest; where the machine is little-endian,
+/// nothing is copied.
+///
+/// # Errors
+/// As [`read_counts`].
+pub fn read_counts_le(bytes: &[u8]) -> Result<arrow_buffer::Buffer, TableError> {
+    guarded(|| {
+        let mut batches = StreamReader::try_new(Cursor::new(bytes), None)?;
+        let batch = batches.next().ok_or_else(|| TableError::Shape("no batch".into()))??;
+        if batches.next().is_some() {
+            return Err(TableError::Shape("several batches instead of one".into()));
+        }
+        let column = column(&batch, "count")?;
+        let counts = column.as_primitive_opt::<UInt32Type>().map(|counts| counts.values().inner().clone());
+        let means = || Some(column.as_primitive_opt::<Float32Type>()?.values().inner().clone());
+        let values = counts.or_else(means).ok_or_else(|| wrong_type("count"))?;
+        if cfg!(target_endian = "big") {
+            // Both types have four bytes.
+            let turned = values.as_slice().chunks_exact(4).flat_map(|value| value.iter().rev().copied());
+            return Ok(turned.collect::<Vec<u8>>().into());
+        }
+        Ok(values)
+    })
+}
+
 /// A long table of counts over many chunks, for readers that want one stream: columns frame, tile, cone (row of the cone
-/// table) and count, a batch a chunk. The pieces, put end to end, are the stream.
+/// table) and count, in batches of at most [`CountsTable::ROWS`]. The pieces, put end to end, are the stream.
 pub struct CountsTable {
     writer: StreamWriter<Vec<u8>>,
     schema: Arc<Schema>,
 }
 
 impl CountsTable {
+    /// Rows of one batch, at most: a reader that stalls holds one of them, and making it keeps nobody waiting.
+    pub const ROWS: usize = 1 << 16;
+
     /// Begins a table; `means` says whether counts are f32 means.
     ///
     /// # Errors
@@ -349,17 +377,21 @@ impl CountsTable {
         Ok(Self { writer, schema })
     }
 
-    /// The bytes that a chunk adds, with whatever was not taken yet.
+    /// The bytes that the rows of a chunk from one on add, with whatever was not taken yet.
     ///
     /// # Errors
     /// When the chunk's counts are of the other type.
-    pub fn push(&mut self, chunk: &Chunk) -> Result<Vec<u8>, TableError> {
-        let n = chunk.counts.len();
-        let rows = UInt64Array::from_iter_values(chunk.first_cone..chunk.first_cone + n as u64);
+    pub fn push(&mut self, chunk: &Chunk, from: usize) -> Result<Vec<u8>, TableError> {
+        let part = from..chunk.counts.len().min(from + Self::ROWS);
+        let n = part.len();
+        let first = chunk.first_cone + from as u64;
+        let rows = UInt64Array::from_iter_values(first..first + n as u64);
         let counts: ArrayRef = match &chunk.counts {
-            CountsVec::U32(values) => Arc::new(UInt32Array::from(values.clone())),
-            CountsVec::F32(values) => Arc::new(Float32Array::from(values.clone())),
+            CountsVec::U32(values) => Arc::new(UInt32Array::from_iter_values(values[part].iter().copied())),
+            CountsVec::F32(values) => Arc::new(Float32Array::from_iter_values(values[part].iter().copied())),
         };
+        // Twenty bytes a row, and the batch's head.
+        self.writer.get_mut().reserve_exact(20 * n + 1024);
         let columns: Vec<ArrayRef> = vec![
             Arc::new(UInt32Array::from_value(chunk.frame, n)),
             Arc::new(UInt32Array::from_value(chunk.tile, n)),

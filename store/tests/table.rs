@@ -8,7 +8,7 @@ use arrow_ipc::reader::StreamReader;
 use photoneye_store::photons::{Photons, photons_stream, read_photons};
 use photoneye_store::table::{
     Chunk, ConeColumns, Counts, CountsTable, CountsVec, cones_file, counts_stream, read_cones_file,
-    read_counts,
+    read_counts, read_counts_le,
 };
 use proptest::prelude::*;
 
@@ -48,7 +48,13 @@ fn cones_come_back() {
 #[test]
 fn counts_come_back() {
     for counts in [Counts::U32(&[0, 1, u32::MAX]), Counts::F32(&[0.5, 1e-12]), Counts::U32(&[])] {
-        let chunk = read_counts(&counts_stream(3, 4, 1 << 40, counts).unwrap()).unwrap();
+        let bytes = counts_stream(3, 4, 1 << 40, counts).unwrap();
+        let chunk = read_counts(&bytes).unwrap();
+        let plain: Vec<u8> = match &chunk.counts {
+            CountsVec::U32(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            CountsVec::F32(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+        };
+        assert_eq!(read_counts_le(&bytes).unwrap().as_slice(), plain);
         assert_eq!((chunk.frame, chunk.tile, chunk.first_cone), (3, 4, 1 << 40));
         match (counts, chunk.counts) {
             (Counts::U32(a), CountsVec::U32(b)) => assert_eq!(a, b),
@@ -71,7 +77,7 @@ fn many_chunks_are_one_stream() {
     let mut bytes = Vec::new();
     for frame in 0..3 {
         let counts = CountsVec::U32(vec![frame, 7]);
-        bytes.extend(table.push(&Chunk { frame, tile: 0, first_cone: 10, counts }).unwrap());
+        bytes.extend(table.push(&Chunk { frame, tile: 0, first_cone: 10, counts }, 0).unwrap());
     }
     bytes.extend(table.finish().unwrap());
     let batches: Vec<_> = StreamReader::try_new(Cursor::new(bytes), None).unwrap().collect();

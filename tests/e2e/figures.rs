@@ -57,7 +57,7 @@ fn two_workers_against_one() {
     let seconds = |count: usize| {
         let place = tempdir().unwrap();
         let server = Server::start(place.path(), 0);
-        let mut scene = small_experiment(64 * 8);
+        let mut scene = small_experiment(64 * 16);
         scene["retina"]["region_deg"] = json!({"x_min": -0.3, "x_max": 0.3, "y_min": -0.3, "y_max": 0.3});
         let start = |number: usize| -> Child {
             let mut command = photoneye(place.path());

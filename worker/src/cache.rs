@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use photoneye_proto::v1::ArtifactRef;
@@ -22,6 +23,9 @@ pub(crate) struct Cache {
     used: Mutex<Used>,
     /// One fetch at a time for each blob.
     flights: Mutex<HashMap<BlobDigest, Arc<AsyncMutex<()>>>>,
+    /// Blobs found here and blobs fetched, since the server was told.
+    hits: AtomicU64,
+    misses: AtomicU64,
 }
 
 /// Which blobs are here and when they were last used.
@@ -79,7 +83,15 @@ impl Cache {
         for digest in used.overflow(max_bytes) {
             remove(&folder, &digest);
         }
-        Ok(Self { folder, max_bytes, remote, used: Mutex::new(used), flights: Mutex::default() })
+        Ok(Self {
+            folder,
+            max_bytes,
+            remote,
+            used: Mutex::new(used),
+            flights: Mutex::default(),
+            hits: AtomicU64::new(0),
+            misses: AtomicU64::new(0),
+        })
     }
 
     /// The bytes of an artifact.
@@ -114,9 +126,11 @@ impl Cache {
         let local = blocking(move || Ok(folder.map(&digest))).await?;
         if let Ok(map) = local {
             self.used().touch(digest);
+            self.hits.fetch_add(1, Ordering::Relaxed);
             return Ok(map);
         }
         self.used().forget(&digest);
+        self.misses.fetch_add(1, Ordering::Relaxed);
         let bytes = self.remote.get(digest).await?;
         if BlobDigest::of(&bytes) != digest {
             return Err(WorkError::Passing(format!("blob {digest} arrived damaged")));
@@ -141,6 +155,11 @@ impl Cache {
             remove(&self.folder, &digest);
         }
         Ok(map)
+    }
+
+    /// Blobs found here and blobs fetched, since this was asked last.
+    pub(crate) fn take_counts(&self) -> [u64; 2] {
+        [&self.hits, &self.misses].map(|count| count.swap(0, Ordering::Relaxed))
     }
 
     /// Bytes of local copies.
@@ -188,6 +207,7 @@ mod tests {
         cache.keep(text(1)).await.unwrap();
         cache.keep(text(2)).await.unwrap();
         assert!(*cache.blob(&digest(1)).await.unwrap() == *text(1));
+        assert_eq!([cache.take_counts(), cache.take_counts()], [[1, 0], [0, 0]]);
         cache.keep(text(3)).await.unwrap();
         let here = |fill| cache.folder.has(&BlobDigest::of(&text(fill))).unwrap();
         assert_eq!([here(1), here(2), here(3)], [true, false, true]);

@@ -144,7 +144,7 @@ async fn take_leases(
         let holds = shared.cache.artifact_keys();
         let reply = tokio::select! {
             () = shutdown.cancelled() => return,
-            reply = shared.remote.lease(name, holds) => reply,
+            reply = shared.remote.lease(name, holds, shared.cache.take_counts()) => reply,
         };
         let (Some(id), Some(work)) = (reply.id.clone(), reply.work.clone()) else {
             if idle_exit.is_some_and(|limit| last_work.elapsed() >= limit) {

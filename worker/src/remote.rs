@@ -47,12 +47,19 @@ impl Remote {
             .max_decoding_message_size(MAX_MESSAGE)
     }
 
-    /// Asks for work once; while the server is away, waits a little and answers "nothing".
-    pub(crate) async fn lease(&self, worker: &str, holds: Vec<String>) -> v1::LeaseReply {
+    /// Asks for work once and tells what the cache was good for; while the server is away, waits a little and answers "nothing".
+    pub(crate) async fn lease(
+        &self,
+        worker: &str,
+        holds: Vec<String>,
+        [hits, misses]: [u64; 2],
+    ) -> v1::LeaseReply {
         let request = v1::LeaseRequest {
             worker: Some(worker.to_owned()),
             holds,
             wait_ms: Some(LEASE_WAIT.as_millis() as u32),
+            cache_hits: Some(hits),
+            cache_misses: Some(misses),
         };
         match self.workers().lease(request).await {
             Ok(reply) => reply.into_inner(),

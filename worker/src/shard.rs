@@ -1,4 +1,4 @@
-//! Computes one shard: some frames of one tile, a chunk a frame.
+//! Computes one shard: some frames of one tile, a chunk a frame. While a chunk is on its way, the next frame is counted.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,6 +11,7 @@ use photoneye_eye::video::Picture;
 use photoneye_proto::v1;
 use photoneye_store::photons::{Photons, photons_stream};
 use photoneye_store::table::{Counts, counts_stream};
+use tokio::task::JoinHandle;
 
 use crate::cpu::Stage;
 use crate::lease::{Done, Lease};
@@ -43,6 +44,7 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
     };
     let mut pictures = Pictures::default();
     let mut chunks = Vec::with_capacity(shard.frame_count() as usize);
+    let mut sending = Sending::default();
     for done in 0..shard.frame_count() {
         // Between frames: is the answer still wanted?
         lease.check()?;
@@ -66,16 +68,11 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
         }
 
         // Hand the chunk over.
-        let digest = shared.remote.put(Bytes::from(chunk.bytes)).await?;
+        chunks.extend(sending.end().await?);
         tell(&mut report, &chunk.frame, &chunk.summary);
-        chunks.push(v1::CommittedChunk {
-            frame: Some(index),
-            digest: Some(digest.to_string()),
-            sum: chunk.summary.sum.to_vec(),
-            sum_squares: chunk.summary.sum_squares.to_vec(),
-            cones: chunk.summary.cones.to_vec(),
-        });
+        sending.begin(shared, index, chunk);
     }
+    chunks.extend(sending.end().await?);
     report.peak_memory_bytes = memory::peak_bytes();
     Ok(Done { done: v1::commit_request::Done::Shard(v1::ShardResult { chunks }), report })
 }
@@ -96,6 +93,34 @@ fn audit(
     let pictures: Vec<&Picture> = shown.iter().map(AsRef::as_ref).collect();
     let earlier = pictures.get(1..).unwrap_or_default();
     scene.exposure.audit(index, pictures.first().copied(), earlier, frame).map_err(model_error)
+}
+
+/// The one chunk that is on its way to the server.
+#[derive(Default)]
+struct Sending(Option<JoinHandle<Result<v1::CommittedChunk, WorkError>>>);
+
+impl Sending {
+    fn begin(&mut self, shared: &Arc<Shared>, index: u32, chunk: Chunk) {
+        let shared = Arc::clone(shared);
+        self.0 = Some(tokio::spawn(async move {
+            let digest = shared.remote.put(Bytes::from(chunk.bytes)).await?;
+            Ok(v1::CommittedChunk {
+                frame: Some(index),
+                digest: Some(digest.to_string()),
+                sum: chunk.summary.sum.to_vec(),
+                sum_squares: chunk.summary.sum_squares.to_vec(),
+                cones: chunk.summary.cones.to_vec(),
+            })
+        }));
+    }
+
+    /// Waits until it is there.
+    async fn end(&mut self) -> Result<Option<v1::CommittedChunk>, WorkError> {
+        match self.0.take() {
+            Some(sent) => sent.await.map_err(|_| WorkError::Dropped)?.map(Some),
+            None => Ok(None),
+        }
+    }
 }
 
 /// Runs on a blocking thread: counts one frame and encodes it.

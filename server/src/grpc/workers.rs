@@ -30,13 +30,20 @@ impl Workers for Door {
         let local = request.extensions().get::<Local>().is_some();
         let request = request.into_inner();
         self.0.fleet.heard(request.worker(), |word| *word = Word::default());
+        self.0.metrics.worker_hits.fetch_add(request.cache_hits(), Ordering::Relaxed);
+        self.0.metrics.worker_misses.fetch_add(request.cache_misses(), Ordering::Relaxed);
         let wait = Duration::from_millis(u64::from(request.wait_ms().min(MAX_WAIT_MS)));
         let until = tokio::time::Instant::now() + wait;
         let holds = request.holds.iter().cloned().collect();
+        let most = self.0.limits.tenant_leases;
         loop {
             let wait = until.saturating_duration_since(tokio::time::Instant::now());
-            let leased =
-                self.0.machine.lease(request.worker(), local, &holds, wait).await.map_err(Error::from)?;
+            let leased = self
+                .0
+                .machine
+                .lease(most, request.worker(), local, &holds, wait)
+                .await
+                .map_err(Error::from)?;
             let Some((id, fence)) = leased else {
                 return Ok(Response::new(v1::LeaseReply {
                     work: Some(Work::Nothing(Nothing {})),
@@ -161,14 +168,14 @@ impl Door {
         let keys = match id {
             WorkId::Build(key) => {
                 let inputs = |state: &State| state.artifacts.get(key).map(|artifact| artifact.inputs.clone());
-                self.0.machine.read(inputs).await.unwrap_or_default()
+                self.0.machine.read(inputs).unwrap_or_default()
             }
             WorkId::Shard(job, number) => {
                 let tile = |state: &State| {
                     let job = state.jobs.get(job)?;
                     job.tiles.get(job.shards.get(*number as usize)?.tile as usize).cloned()
                 };
-                self.0.machine.read(tile).await.unwrap_or_default()
+                self.0.machine.read(tile).unwrap_or_default()
             }
         };
         let mut references = Vec::new();
@@ -176,7 +183,7 @@ impl Door {
             let find = |state: &State| {
                 state.artifacts.get(&key).map(|artifact| (artifact.kind.clone(), artifact.digest))
             };
-            let (kind, digest) = self.0.machine.read(find).await.unwrap_or_default();
+            let (kind, digest) = self.0.machine.read(find).unwrap_or_default();
             let there = match digest {
                 Some(digest) => self.0.with_blobs(move |blobs| blobs.has(&digest)).await?,
                 None => false,
@@ -200,14 +207,14 @@ impl Door {
 
     async fn build(&self, key: &str, inputs: Vec<v1::ArtifactRef>) -> Result<Work, Status> {
         let kind =
-            self.0.machine.read(|state| state.artifacts.get(key).map(|artifact| artifact.kind.clone())).await;
+            self.0.machine.read(|state| state.artifacts.get(key).map(|artifact| artifact.kind.clone()));
         let spec_json = self.0.machine.document(&format!("artifact/{key}")).await.map_err(Error::from)?;
         Ok(Work::Build(v1::Build { key: Some(key.to_owned()), kind, spec_json, inputs }))
     }
 
     async fn shard(&self, id: &str, number: u32, artifacts: Vec<v1::ArtifactRef>) -> Result<Work, Status> {
-        let experiment_json =
-            self.0.machine.document(&format!("experiment/{id}")).await.map_err(Error::from)?;
+        let name = self.0.look(id, |_, job| job.experiment_text.clone()).await?;
+        let experiment_json = self.0.machine.document(&name).await.map_err(Error::from)?;
         let work = self
             .0
             .look(id, |state, job| {

@@ -1,6 +1,7 @@
 //! What can happen to the machine, what it answers, and what it leaves to be stored.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use photoneye_store::BlobDigest;
 
@@ -13,6 +14,8 @@ pub enum Command {
     Create(Box<NewJob>),
     /// A worker asks for work.
     Lease {
+        /// Shards that one tenant may have at work at the same time.
+        most: usize,
         /// Its name.
         worker: String,
         /// Whether it lives in this process.
@@ -68,6 +71,19 @@ pub enum Command {
     LostChunk(String, u32, u32),
     /// Something to be kept on record.
     Note(Record),
+    /// What is over for long may go.
+    Sweep(Sweep),
+}
+
+/// How much of what is over is kept.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sweep {
+    /// Jobs that ended, and records, from before this time go, ms since 1970.
+    pub before_ms: u64,
+    /// Of all jobs the latest so many stay, and those that are at work.
+    pub kept_jobs: u64,
+    /// Records of the audit that stay, the latest.
+    pub kept_audit: u64,
 }
 
 /// A job to be accepted.
@@ -78,9 +94,9 @@ pub struct NewJob {
     /// Digest of the validated experiment.
     pub experiment_digest: String,
     /// The validated experiment, the model's own JSON.
-    pub experiment_json: String,
-    /// The plan, the model's own JSON.
-    pub plan_json: String,
+    pub experiment: Text,
+    /// The plan, the schema's JSON.
+    pub plan: Text,
     /// Number of frames.
     pub frames: u32,
     /// Artifacts, each after the ones it is made from.
@@ -101,6 +117,29 @@ pub struct NewJob {
     pub by: String,
 }
 
+/// A text under the hash of its content: jobs that share it, store it once.
+#[derive(Clone, Debug)]
+pub struct Text {
+    /// Its name among the documents.
+    pub id: String,
+    /// The text.
+    pub text: Arc<str>,
+}
+
+impl Text {
+    /// Names a text.
+    pub fn of(text: impl Into<Arc<str>>) -> Self {
+        let text = text.into();
+        Self { id: format!("text/{}", blake3::hash(text.as_bytes()).to_hex()), text }
+    }
+}
+
+impl Default for Text {
+    fn default() -> Self {
+        Self::of("")
+    }
+}
+
 /// An artifact that a job needs.
 #[derive(Clone, Debug, Default)]
 pub struct NewArtifact {
@@ -109,7 +148,7 @@ pub struct NewArtifact {
     /// What it is.
     pub kind: String,
     /// Its inputs, the model's own JSON.
-    pub spec_json: String,
+    pub spec_json: Arc<str>,
     /// Keys of the artifacts that it is made from.
     pub inputs: Vec<String>,
     /// Predicted work, microseconds.
@@ -152,6 +191,8 @@ pub enum Reply {
 /// A row that changed.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Row {
+    /// A job that was not stored before.
+    NewJob(String),
     /// A job.
     Job(String),
     /// A shard of a job.
@@ -196,15 +237,30 @@ pub enum Record {
     },
 }
 
-/// What a step did.
-#[derive(Clone, Debug)]
+/// What steps did.
+#[derive(Clone, Debug, Default)]
 pub struct Effects {
-    /// The answer.
-    pub reply: Reply,
     /// Rows to be kept, as the state has them now.
     pub rows: BTreeSet<Row>,
     /// Texts to be kept, by name.
-    pub documents: Vec<(String, String)>,
+    pub documents: Vec<(String, Arc<str>)>,
     /// Things to be kept on record.
     pub records: Vec<Record>,
+    /// What is to be deleted.
+    pub sweep: Option<Sweep>,
+}
+
+impl Effects {
+    /// Adds what another step did.
+    pub fn add(&mut self, other: Self) {
+        self.rows.extend(other.rows);
+        self.documents.extend(other.documents);
+        self.records.extend(other.records);
+        self.sweep = other.sweep.or(self.sweep.take());
+    }
+
+    /// Whether there is nothing to write.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty() && self.documents.is_empty() && self.records.is_empty()
+    }
 }

@@ -73,8 +73,14 @@ impl State {
         }
     }
 
+    /// After a batch: forgets what can be read again.
+    pub fn settle(&mut self, kept_jobs: usize) {
+        self.requests.clear();
+        self.forget(kept_jobs);
+    }
+
     /// Forgets jobs that ended, the oldest first, and artifacts that nobody at hand needs, when there are many of them.
-    pub fn forget(&mut self, kept_jobs: usize) {
+    fn forget(&mut self, kept_jobs: usize) {
         let ended = |job: &&Job| !job.state.active();
         let chunks: usize = self.jobs.values().filter(ended).map(|job| job.chunks.len()).sum();
         if self.jobs.len() - self.active.len() <= 2 * kept_jobs && chunks <= KEPT_CHUNKS {
@@ -95,6 +101,11 @@ impl State {
             stay.insert((*id).clone());
         }
         self.jobs.retain(|id, job| job.state.active() || stay.contains(id));
+        self.forget_artifacts();
+    }
+
+    /// Forgets artifacts that no job at hand needs and nobody asks for.
+    pub fn forget_artifacts(&mut self) {
         let mut needed: BTreeSet<String> =
             self.jobs.values().flat_map(|job| &job.artifacts).cloned().collect();
         // What is asked for, and what that is made from.

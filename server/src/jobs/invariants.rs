@@ -21,6 +21,14 @@ impl State {
                 format!("{id}: handed out after its caps")
             })?;
         }
+        let mut holding = std::collections::BTreeMap::new();
+        for id in &self.leased {
+            if let WorkId::Shard(job, _) = id {
+                let tenant = self.jobs.get(job).map_or("", |job| &job.tenant);
+                *holding.entry(tenant.to_owned()).or_insert(0_usize) += 1;
+            }
+        }
+        ensure(holding == self.holding, || format!("{holding:?} leased, {:?} counted", self.holding))?;
         let queued: usize = self.queues.values().map(std::collections::BTreeSet::len).sum();
         ensure(queued == self.active.len(), || format!("{queued} queued, {} active", self.active.len()))?;
         ensure(self.queues.keys().eq(self.passes.keys()), || "queues and shares differ".into())

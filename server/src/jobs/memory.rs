@@ -6,16 +6,16 @@ use std::sync::{Arc, Mutex, PoisonError};
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 
-use super::command::{Command, Reply};
+use super::command::Command;
 use super::state::State;
 use super::step::step;
-use super::store::{Documents, JobStore, StoreError};
+use super::store::{Batch, Documents, JobStore, StoreError};
 
 /// Keeps nothing beyond the process.
 #[derive(Debug, Default)]
 pub struct MemoryStore {
     state: State,
-    documents: Arc<Mutex<BTreeMap<String, String>>>,
+    documents: Arc<Mutex<BTreeMap<String, Arc<str>>>>,
 }
 
 impl MemoryStore {
@@ -26,23 +26,21 @@ impl MemoryStore {
 }
 
 impl JobStore for MemoryStore {
-    fn execute_all(
-        &mut self,
-        commands: Vec<Command>,
+    fn execute_all<'a>(
+        &'a mut self,
+        commands: &'a [Command],
         now_ms: u64,
-    ) -> BoxFuture<'_, Result<Vec<Reply>, StoreError>> {
-        let mut replies = Vec::with_capacity(commands.len());
+    ) -> BoxFuture<'a, Result<Batch, StoreError>> {
+        let mut batch = Batch::default();
         for command in commands {
-            let effects = step(&mut self.state, command, now_ms);
+            let (reply, effects) = step(&mut self.state, command.clone(), now_ms);
             self.documents.lock().unwrap_or_else(PoisonError::into_inner).extend(effects.documents);
-            replies.push(effects.reply);
+            batch.replies.push(reply);
         }
-        async move { Ok(replies) }.boxed()
+        async move { Ok(batch) }.boxed()
     }
 
-    fn recall_job<'a>(&'a mut self, _: &'a str) -> BoxFuture<'a, Result<(), StoreError>> {
-        async { Ok(()) }.boxed()
-    }
+    fn settle(&self, _: &mut State) {}
 
     fn state(&self) -> &State {
         &self.state

@@ -6,15 +6,25 @@ use std::collections::BTreeSet;
 use super::lease::Phase;
 use super::state::{Job, State, WorkId};
 
-/// The next piece of work for a worker that holds these artifacts.
-pub fn pick(state: &State, holds: &BTreeSet<String>) -> Option<WorkId> {
+/// The next piece of work for a worker that holds these artifacts; no shard of a tenant that has `most` of them at work.
+pub fn pick(state: &State, most: usize, holds: &BTreeSet<String>) -> Option<WorkId> {
     let mut tenants: Vec<_> =
         state.queues.iter().map(|(name, queue)| (state.passes.get(name), name, queue)).collect();
     tenants.sort_unstable_by_key(|(pass, name, _)| (*pass, *name));
     let mut jobs =
         tenants.into_iter().flat_map(|(.., queue)| queue).filter_map(|place| state.jobs.get(&place.3));
-    let of_job = |job: &Job| build(state, &needed(state, job)).or_else(|| shard(state, job, holds));
-    jobs.find_map(of_job).or_else(|| {
+    let room = |job: &Job| state.holding.get(&job.tenant).is_none_or(|held| *held < most);
+    // Of thousands of jobs that wait for the same builds, one says that there is nothing to build.
+    let mut stuck = BTreeSet::new();
+    let mut of_job = |job: &Job| {
+        let waiting = stuck.contains(&job.artifacts);
+        let first = if waiting { None } else { build(state, &needed(state, job)) };
+        if first.is_none() && !waiting && build(state, &unready(state, job)).is_none() {
+            stuck.insert(job.artifacts.clone());
+        }
+        first.or_else(|| if room(job) { shard(state, job, holds) } else { None })
+    };
+    jobs.find_map(&mut of_job).or_else(|| {
         let mut wanted = BTreeSet::new();
         state.asked.iter().for_each(|key| want(state, key, &mut wanted));
         build(state, &wanted)
@@ -34,6 +44,13 @@ pub fn needed(state: &State, job: &Job) -> BTreeSet<String> {
             want(state, key, &mut wanted);
         }
     }
+    wanted
+}
+
+/// All artifacts of a job that are not ready.
+fn unready(state: &State, job: &Job) -> BTreeSet<String> {
+    let mut wanted = BTreeSet::new();
+    job.artifacts.iter().for_each(|key| want(state, key, &mut wanted));
     wanted
 }
 

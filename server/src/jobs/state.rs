@@ -53,6 +53,10 @@ pub struct Job {
     pub state: JobState,
     /// Digest of the validated experiment.
     pub experiment_digest: String,
+    /// Name of the document that holds the experiment.
+    pub experiment_text: String,
+    /// Name of the document that holds the plan.
+    pub plan_text: String,
     /// Accepted, ms since 1970.
     pub created_ms: u64,
     /// Ended, ms since 1970.
@@ -210,6 +214,8 @@ pub struct State {
     pub users: BTreeMap<String, BTreeSet<String>>,
     /// Leased work. Not stored: follows from the leases.
     pub leased: BTreeSet<WorkId>,
+    /// Leased shards of each tenant. Not stored: follows from the leases.
+    pub holding: BTreeMap<String, usize>,
     /// Artifacts that somebody reads although no active job needs them. Not stored: whoever reads asks again.
     pub asked: BTreeSet<String>,
     /// Results and artifacts that came out differently the second time.
@@ -237,10 +243,17 @@ impl State {
                 let shard = job.shards.get_mut(*number as usize)?;
                 let was_done = shard.lease.phase == Phase::Done;
                 let result = change(&mut shard.lease);
-                let is_done = shard.lease.phase == Phase::Done;
-                job.left = job.left + usize::from(was_done) - usize::from(is_done);
-                let open = job.open.entry(shard.tile).or_default();
                 let phase = shard.lease.phase;
+                job.left = job.left + usize::from(was_done) - usize::from(phase == Phase::Done);
+                let (was, is) = (self.leased.contains(id), phase == Phase::Leased);
+                if was != is {
+                    let held = self.holding.entry(job.tenant.clone()).or_default();
+                    *held = *held + usize::from(is) - usize::from(was);
+                    if *held == 0 {
+                        self.holding.remove(&job.tenant);
+                    }
+                }
+                let open = job.open.entry(shard.tile).or_default();
                 if phase == Phase::Open {
                     open.insert(*number);
                 } else {
@@ -260,6 +273,7 @@ impl State {
     /// Rebuilds what is not stored. After a restart the workers of the earlier process are gone; the others get a whole term.
     pub fn index(&mut self, now_ms: u64, restarted: bool) {
         self.leased.clear();
+        self.holding.clear();
         self.active.clear();
         self.queues.clear();
         self.users.clear();

@@ -60,7 +60,7 @@ pub(super) async fn retinas(State(service): Shared) -> Result<Json<Value>, Error
 /// Ready: the blob store can write and the job machine answers.
 pub(super) async fn ready(State(service): Shared) -> Response {
     let written = service.with_blobs(|blobs| blobs.begin().map(drop)).await;
-    let active = service.machine.read(|state| state.active.len()).await;
+    let active = service.machine.read(|state| state.active.len());
     match written {
         Ok(()) => Json(json!({"status": "ready", "active_jobs": active})).into_response(),
         Err(error) => {
@@ -73,7 +73,7 @@ pub(super) async fn ready(State(service): Shared) -> Response {
 pub(super) async fn metrics(State(service): Shared) -> Result<Response, Error> {
     let jobs = service.machine.documents().count_jobs().await?;
     let workers = service.fleet.alive();
-    let text = service.machine.read(|state| service.metrics.text(state, &jobs, workers)).await;
+    let text = service.machine.read(|state| service.metrics.text(state, &jobs, workers));
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response())
 }
 

@@ -105,12 +105,12 @@ impl World {
     }
 
     fn execute(&mut self, command: Command) -> Reply {
-        let effects = step(&mut self.state, command, self.now_ms);
+        let (reply, _) = step(&mut self.state, command, self.now_ms);
         assert_eq!(self.state.check(), Ok(()));
         // Whatever took leases away took them from the oracle's book too.
         let state = &self.state;
         self.granted.retain(|id, _| state.lease(id).is_some_and(|lease| lease.phase == Phase::Leased));
-        effects.reply
+        reply
     }
 
     /// A write of a worker: the machine and the oracle must agree on whether it may.
@@ -128,8 +128,12 @@ impl World {
     fn act(&mut self, deed: &Deed, by_name: bool) -> Result<(), String> {
         match deed {
             Deed::Lease(worker) => {
-                let command =
-                    Command::Lease { worker: WORKERS[*worker].into(), local: false, holds: BTreeSet::new() };
+                let command = Command::Lease {
+                    most: usize::MAX,
+                    worker: WORKERS[*worker].into(),
+                    local: false,
+                    holds: BTreeSet::new(),
+                };
                 if let Reply::Leased(Some((id, fence))) = self.execute(command) {
                     assert!(!self.granted.contains_key(&id), "{id} was handed out twice");
                     self.granted.insert(id.clone(), (*worker, fence, self.now_ms + TTL_MS));

@@ -85,7 +85,8 @@ async fn roles_hold_and_revoked_keys_do_not() {
     assert_eq!(with(&wrong, address, "GET", "/v1/jobs", &Value::Null).await.status, 401);
 
     let channel = Channel::from_shared(format!("http://{address}")).unwrap().connect().await.unwrap();
-    let lease = || v1::LeaseRequest { worker: Some("w".into()), holds: Vec::new(), wait_ms: Some(0) };
+    let lease =
+        || v1::LeaseRequest { worker: Some("w".into()), wait_ms: Some(0), ..v1::LeaseRequest::default() };
     let code = |key: ApiKey| {
         let mut workers = WorkersClient::with_interceptor(channel.clone(), key);
         async move { workers.lease(lease()).await.err().map(|status| status.code()) }

@@ -5,3 +5,4 @@ mod access;
 mod common;
 mod doors;
 mod streams;
+mod upkeep;

@@ -109,7 +109,8 @@ pub async fn work_of(channel: &Channel, real: bool, mut cones: u64) -> usize {
     let made = cones;
     let mut workers = WorkersClient::new(channel.clone());
     for count in 0.. {
-        let request = v1::LeaseRequest { worker: Some("test".into()), holds: Vec::new(), wait_ms: Some(0) };
+        let request =
+            v1::LeaseRequest { worker: Some("test".into()), wait_ms: Some(0), ..v1::LeaseRequest::default() };
         let lease = workers.lease(request).await.unwrap().into_inner();
         let done = match lease.work.as_ref().unwrap() {
             Work::Nothing(_) => return count,

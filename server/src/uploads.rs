@@ -1,0 +1,84 @@
+//! The uploads of an experiment, looked at before the job is taken: they are there and theirs who asks, pictures have the display's
+//! size, and a measured mosaic's rows are cones.
+
+use photoneye_eye::display::Display;
+use photoneye_eye::experiment::{Retina, Video};
+use photoneye_eye::retina::{RetinaGeometry, check_mosaic};
+use photoneye_eye::video::{Limits as PictureLimits, clip_info};
+use photoneye_proto::FieldError;
+use photoneye_store::BlobDigest;
+
+use crate::access::Caller;
+use crate::error::{Error, Kind};
+use crate::service::Service;
+
+/// The mosaic's field, for errors.
+const FIELD: &str = "retina.mosaic.blob";
+
+impl Service {
+    /// The clip's files are there and of the display's size; the number of frames of a film, `None` for pictures. Only headers are read.
+    pub(crate) async fn check_pictures(
+        &self,
+        caller: &Caller,
+        video: &Video,
+        display: &Display,
+    ) -> Result<Option<u32>, Error> {
+        let Video::Clip(clip) = video else {
+            return Ok(None);
+        };
+        let (width, height) = (display.width_px, display.height_px);
+        let mut seen = std::collections::BTreeSet::new();
+        let mut film = None;
+        for (i, text) in clip.blobs.iter().enumerate() {
+            if !seen.insert(text) {
+                continue;
+            }
+            let path = format!("video.clip.blobs[{i}]");
+            let bytes = self.upload(caller, &path, text).await?;
+            let found = clip_info(&bytes, &clip.format, [width, height], PictureLimits::default());
+            let info = found.map_err(|error| FieldError::new(path.clone(), error.to_string()))?;
+            if (info.width, info.height) != (width, height) {
+                let message = format!(
+                    "the picture is {} x {} pixels, the display {width} x {height}",
+                    info.width, info.height
+                );
+                return Err(FieldError::new(path, message).into());
+            }
+            if info.frames > 1 && clip.blobs.len() > 1 {
+                let message = format!("a film of {} frames must be the only file", info.frames);
+                return Err(FieldError::new(path, message).into());
+            }
+            film = (info.frames > 1).then_some(info.frames);
+        }
+        Ok(film)
+    }
+
+    /// Refuses a mosaic that no artifact can be built from, with the line and value that are wrong.
+    pub(crate) async fn check_mosaic(&self, caller: &Caller, retina: &Retina) -> Result<(), Error> {
+        let Some(text) = &retina.mosaic else {
+            return Ok(());
+        };
+        let bytes = self.upload(caller, FIELD, text).await?;
+        let params = retina.params(0.0, RetinaGeometry::default());
+        let check = move || {
+            let csv = std::str::from_utf8(&bytes).map_err(|error| error.to_string())?;
+            check_mosaic(csv, &params).map_err(|error| error.to_string())
+        };
+        let checked = tokio::task::spawn_blocking(check).await?;
+        checked.map_err(|why| FieldError::new(FIELD, why))?;
+        Ok(())
+    }
+
+    /// The bytes of an upload that a field names.
+    async fn upload(&self, caller: &Caller, field: &str, text: &str) -> Result<Vec<u8>, Error> {
+        let digest: BlobDigest = text.parse().map_err(|_| FieldError::new(field, "is not a digest"))?;
+        let found = match self.readable(caller, &digest).await {
+            Ok(()) => self.with_blobs(move |blobs| blobs.get(&digest)).await,
+            Err(error) => Err(error),
+        };
+        found.map_err(|error| match error.kind {
+            Kind::NotFound => FieldError::new(field, format!("{}; upload it first", error.message)).into(),
+            _ => error,
+        })
+    }
+}
