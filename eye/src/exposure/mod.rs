@@ -31,7 +31,7 @@ mod spread;
 pub mod stray;
 pub(crate) mod transfer;
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::OnceLock;
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -124,8 +124,8 @@ pub struct Exposure {
     counter: Counter,
     veil: Option<stray::Veil>,
     pattern: Option<Picture>,
-    /// Light and means of the frame before.
-    last: Mutex<Option<(Source, Means)>>,
+    /// Light and means of the frame that was computed first.
+    first: OnceLock<(Source, Means)>,
 }
 
 impl Exposure {
@@ -167,7 +167,7 @@ impl Exposure {
             counter,
             veil,
             pattern,
-            last: Mutex::new(None),
+            first: OnceLock::new(),
         })
     }
 
@@ -254,7 +254,7 @@ impl Exposure {
         }
     }
 
-    /// Means of a frame; none are computed for a dark window, nor twice for a window that shows the same as the last time.
+    /// Means of a frame; none are computed for a dark window, nor twice for a window that shows the same as in the first frame.
     fn means(&self, expected: &Expected, shown: &Shown, source: &Source) -> Means {
         let mut means = self.image(expected, source);
         if let Some(veil) = &self.veil {
@@ -270,15 +270,16 @@ impl Exposure {
         if !Rule::RepeatedFrames.applies(&self.experiment) {
             return expected.frame(source);
         }
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((shown, means)) = &*last
+        if let Some((shown, means)) = self.first.get()
             && shown == source
         {
             return means.clone();
         }
         let means = expected.frame(source);
-        *last = (self.experiment.frames > 1 || self.experiment.audit_cones > 0)
-            .then(|| (source.clone(), means.clone()));
+        if self.experiment.frames > 1 || self.experiment.audit_cones > 0 {
+            // Whichever frame comes first: means depend on the light alone.
+            self.first.get_or_init(|| (source.clone(), means.clone()));
+        }
         means
     }
 
