@@ -32,7 +32,7 @@ pub mod stray;
 mod tail;
 pub(crate) mod transfer;
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::OnceLock;
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -126,8 +126,8 @@ pub struct Exposure {
     tail: Option<tail::Tail>,
     veil: Option<stray::Veil>,
     pattern: Option<Picture>,
-    /// Light and means of the frame before.
-    last: Mutex<Option<(Source, Means)>>,
+    /// Light and means of the frame that was computed first.
+    first: OnceLock<(Source, Means)>,
 }
 
 impl Exposure {
@@ -172,7 +172,7 @@ impl Exposure {
             tail,
             veil,
             pattern,
-            last: Mutex::new(None),
+            first: OnceLock::new(),
         })
     }
 
@@ -259,7 +259,7 @@ impl Exposure {
         }
     }
 
-    /// Means of a frame; none are computed for a dark window, nor twice for a window that shows the same as the last time.
+    /// Means of a frame; none are computed for a dark window, nor twice for a window that shows the same as in the first frame.
     fn means(&self, expected: &Expected, shown: &Shown, source: &Source) -> Means {
         let mut means = self.image(expected, source);
         if let Some(tail) = &self.tail {
@@ -278,15 +278,16 @@ impl Exposure {
         if !Rule::RepeatedFrames.applies(&self.experiment) {
             return expected.frame(source);
         }
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((shown, means)) = &*last
+        if let Some((shown, means)) = self.first.get()
             && shown == source
         {
             return means.clone();
         }
         let means = expected.frame(source);
-        *last = (self.experiment.frames > 1 || self.experiment.audit_cones > 0)
-            .then(|| (source.clone(), means.clone()));
+        if self.experiment.frames > 1 || self.experiment.audit_cones > 0 {
+            // Whichever frame comes first: means depend on the light alone.
+            self.first.get_or_init(|| (source.clone(), means.clone()));
+        }
         means
     }
 

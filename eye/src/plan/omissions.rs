@@ -158,7 +158,7 @@ fn repeated_frames(look: &Look) -> Option<Omission> {
         Levels::Values { dither, .. } | Levels::Planes { dither, .. } => dither,
     };
     let may = *frames > 1 && counts.engine == Engine::Expected && look.setup.gaze.is_still() && !dithered;
-    let why = "means of a frame that shows the same as the one before are those of that one";
+    let why = "means of a frame that shows the same as the first one are those of that one";
     may.then(|| omission("frames that repeat", why, 0.0))
 }
 

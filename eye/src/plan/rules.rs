@@ -18,7 +18,7 @@ pub enum Rule {
     Eccentricities,
     /// Primaries that no picture lights.
     UnlitPrimaries,
-    /// Frames that show the same as the one before.
+    /// Frames that show the same as the first.
     RepeatedFrames,
     /// Frames and tiles without light.
     DarkTiles,

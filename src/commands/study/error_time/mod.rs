@@ -147,19 +147,89 @@ pub fn read(path: &std::path::Path, changes: &[String]) -> Result<Scene, Failure
     Ok(Scene { name: file.stem, experiment, pictures: pictures.map_err(Failure::usage)? })
 }
 
-/// All runs of a scene, and its number of cones.
-fn judge(task: &mut Task, scene: &Scene) -> Result<(Vec<Point>, usize), Failure> {
-    let mut runner = Runner::default();
-    let expected = |target: f64, step: Option<f64>| {
-        let mut e = scene.experiment.clone();
+/// The runs of a scene.
+struct Judge<'a> {
+    scene: &'a Scene,
+    runner: Runner,
+    reference: Vec<f64>,
+    points: Vec<Point>,
+}
+
+impl Judge<'_> {
+    fn run(&mut self, experiment: &Experiment) -> Result<Outcome, Failure> {
+        self.runner.run(experiment, &self.scene.pictures).map_err(Failure::usage)
+    }
+
+    /// Means at a target.
+    fn expected(&self, target: f64, step: Option<f64>) -> Experiment {
+        let mut e = self.scene.experiment.clone();
         (e.counts.engine, e.counts.poisson) = (Engine::Expected, false);
         (e.accuracy_target, e.counts.wavelength_step_nm, e.audit_cones) = (target, step, 0);
         e
-    };
-    let mut run = |experiment: &Experiment| runner.run(experiment, &scene.pictures).map_err(Failure::usage);
-    task.say(&format!("{}: converged run", scene.name));
-    let mut finest = expected(0.001, Some(task.pick(5.0, 10.0)));
-    finest.counts.knobs = Knobs {
+    }
+
+    fn add(&mut self, knob: &'static str, setting: String, outcome: &Outcome) -> Result<(), Failure> {
+        let error = l1(&outcome.counts, &self.reference).ok_or_else(|| {
+            Failure::failed(format!("{}: dark, or other cones at another setting", self.scene.name))
+        })?;
+        let total: f64 = self.reference.iter().sum();
+        let one = |m: &f64| (m * std::f64::consts::FRAC_2_PI).sqrt();
+        let drawn = knob == PAPER || knob == EVENTS;
+        let chance = if drawn { self.reference.iter().map(one).sum::<f64>() / total } else { 0.0 };
+        let seconds = [outcome.stages.optics, outcome.stages.prepare, outcome.stages.frames];
+        self.points.push(Point { knob, setting, seconds, error, chance });
+        Ok(())
+    }
+
+    /// Targets, wavelength steps and knobs of `EXPECTED`.
+    fn settings(&mut self, task: &mut Task) -> Result<(), Failure> {
+        let targets: &[f64] = task.pick(&[0.2, 0.05, 0.01, 0.005, 0.002, 0.001], &[0.1, 0.01, 0.001]);
+        for target in targets {
+            match self.run(&self.expected(*target, None)) {
+                Ok(outcome) => self.add(TARGET, target.to_string(), &outcome)?,
+                Err(why) => task.say(&format!("{}: target {target} left out: {why}", self.scene.name)),
+            }
+        }
+        let steps: &[f64] = task.pick(&[20.0, 10.0, 7.5, 5.0], &[20.0, 10.0]);
+        for step in steps {
+            let outcome = self.run(&self.expected(0.001, Some(*step)))?;
+            self.add(STEP, step.to_string(), &outcome)?;
+        }
+        for (name, values, set) in KNOBS.into_iter().take(task.pick(KNOBS.len(), 2)) {
+            for value in values {
+                let mut e = self.expected(0.001, None);
+                set(&mut e.counts.knobs, *value);
+                let outcome = self.run(&e)?;
+                self.add(name, value.to_string(), &outcome)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// An engine that draws photons, when it does not take too long.
+    fn drawn(
+        &mut self,
+        task: &mut Task,
+        setting: &str,
+        change: impl Fn(&mut Experiment),
+    ) -> Result<(), Failure> {
+        let mut e = self.scene.experiment.clone();
+        (e.counts.poisson, e.audit_cones) = (true, 0);
+        change(&mut e);
+        let knob = if e.counts.engine == Engine::Paper { PAPER } else { EVENTS };
+        let predicted = plan(&e).map_err(Failure::usage)?.predicted_seconds;
+        if predicted > task.pick(PATIENCE_S[0], PATIENCE_S[1]) {
+            task.say(&format!("{}: {knob} left out, it would take {predicted:.0} s", self.scene.name));
+            return Ok(());
+        }
+        let outcome = self.run(&e)?;
+        self.add(knob, setting.to_owned(), &outcome)
+    }
+}
+
+/// The settings of a converged run.
+fn finest(task: &Task) -> Knobs {
+    Knobs {
         basis_tolerance: Some(task.pick(1e-6, 1e-5)),
         band_loss: Some(task.pick(2e-5, 1e-4)),
         guard_um: Some(task.pick(1200.0, 600.0)),
@@ -168,71 +238,33 @@ fn judge(task: &mut Task, scene: &Scene) -> Result<(Vec<Point>, usize), Failure>
         field_nodes: Some(4),
         ecc_nodes: Some(4),
         double_precision: Some(true),
-    };
-    let reference = run(&finest)?;
-    task.say(&format!("{}: {} cones, settings", scene.name, reference.counts.len()));
-    let mut points = Vec::new();
-    let mut add = |knob: &'static str, setting: String, outcome: &Outcome| -> Result<(), Failure> {
-        let error = l1(&outcome.counts, &reference.counts).ok_or_else(|| {
-            Failure::failed(format!("{}: dark, or other cones at another setting", scene.name))
-        })?;
-        let total: f64 = reference.counts.iter().sum();
-        let chance =
-            reference.counts.iter().map(|m| (m * std::f64::consts::FRAC_2_PI).sqrt()).sum::<f64>() / total;
-        let chance = if knob == PAPER || knob == EVENTS { chance } else { 0.0 };
-        let seconds = [outcome.stages.optics, outcome.stages.prepare, outcome.stages.frames];
-        points.push(Point { knob, setting, seconds, error, chance });
-        Ok(())
-    };
-    let targets: &[f64] = task.pick(&[0.2, 0.05, 0.01, 0.005, 0.002, 0.001], &[0.1, 0.01, 0.001]);
-    for target in targets {
-        match run(&expected(*target, None)) {
-            Ok(outcome) => add(TARGET, target.to_string(), &outcome)?,
-            Err(why) => task.say(&format!("{}: target {target} left out: {why}", scene.name)),
+    }
+}
+
+/// All runs of a scene, and its number of cones.
+fn judge(task: &mut Task, scene: &Scene) -> Result<(Vec<Point>, usize), Failure> {
+    let mut judge = Judge { scene, runner: Runner::default(), reference: Vec::new(), points: Vec::new() };
+    task.say(&format!("{}: converged run", scene.name));
+    let mut converged = judge.expected(0.001, Some(task.pick(5.0, 10.0)));
+    converged.counts.knobs = finest(task);
+    judge.reference = judge.run(&converged)?.counts;
+    task.say(&format!("{}: {} cones, settings", scene.name, judge.reference.len()));
+    judge.settings(task)?;
+    if scene.experiment.eye.stray_light.is_none() {
+        judge.drawn(task, "photon by photon", |e| e.counts.engine = Engine::Events)?;
+        let papers = PaperSettings::default();
+        let variants = [
+            ("paper's own", papers),
+            ("256 rays", PaperSettings { rays: 256, ..papers }),
+            ("4,096 rays", PaperSettings { rays: 4096, ..papers }),
+            ("40 µm window", PaperSettings { window_um: 40.0, ..papers }),
+            ("100 µm nodes", PaperSettings { node_um: 100.0, ..papers }),
+        ];
+        for (setting, paper) in variants.into_iter().take(task.pick(5, 1)) {
+            judge.drawn(task, setting, |e| (e.counts.engine, e.counts.paper) = (Engine::Paper, paper))?;
         }
     }
-    let steps: &[f64] = task.pick(&[20.0, 10.0, 7.5, 5.0], &[20.0, 10.0]);
-    for step in steps {
-        add(STEP, step.to_string(), &run(&expected(0.001, Some(*step)))?)?;
-    }
-    for (name, values, set) in KNOBS.iter().take(task.pick(KNOBS.len(), 2)) {
-        for value in *values {
-            let mut e = expected(0.001, None);
-            set(&mut e.counts.knobs, *value);
-            add(*name, value.to_string(), &run(&e)?)?;
-        }
-    }
-    let mut events = scene.experiment.clone();
-    (events.counts.engine, events.counts.poisson, events.audit_cones) = (Engine::Events, true, 0);
-    if events.eye.stray_light.is_none() {
-        let predicted = plan(&events).map_err(Failure::usage)?.predicted_seconds;
-        if predicted < task.pick(PATIENCE_S[0], PATIENCE_S[1]) {
-            add(EVENTS, "photon by photon".to_owned(), &run(&events)?)?;
-        } else {
-            task.say(&format!("{}: engine EVENTS left out, it would take {predicted:.0} s", scene.name));
-        }
-    }
-    let papers = PaperSettings::default();
-    let variants = [
-        ("paper's own", papers),
-        ("256 rays", PaperSettings { rays: 256, ..papers }),
-        ("4,096 rays", PaperSettings { rays: 4096, ..papers }),
-        ("40 µm window", PaperSettings { window_um: 40.0, ..papers }),
-        ("100 µm nodes", PaperSettings { node_um: 100.0, ..papers }),
-    ];
-    for (setting, paper) in variants.into_iter().take(task.pick(5, 1)) {
-        let mut e = scene.experiment.clone();
-        (e.counts.engine, e.counts.poisson, e.counts.paper) = (Engine::Paper, true, paper);
-        e.audit_cones = 0;
-        // Photon by photon a bright scene takes hours.
-        let predicted = plan(&e).map_err(Failure::usage)?.predicted_seconds;
-        if predicted < task.pick(PATIENCE_S[0], PATIENCE_S[1]) {
-            add(PAPER, setting.to_owned(), &run(&e)?)?;
-        } else {
-            task.say(&format!("{}: engine PAPER left out, it would take {predicted:.0} s", scene.name));
-        }
-    }
-    Ok((points, reference.counts.len()))
+    Ok((judge.points, judge.reference.len()))
 }
 
 /// Whether no other run is both faster and better.

@@ -67,14 +67,14 @@ pub fn study(task: &mut Task, page: &mut Page) -> Result<(), Failure> {
                     o.stages.prepare,
                     o.stages.frames
                 ]);
-                if engine != Engine::Expected {
-                    curves[if engine == Engine::Paper { 3 } else { 4 }].push((x, o.stages.frames));
-                } else {
+                if engine == Engine::Expected {
                     if o.stages.mosaic > 0.0 {
                         curves[0].push((x, o.stages.mosaic));
                     }
                     curves[1].push((x, o.stages.optics + o.stages.prepare));
                     curves[2].push((x, o.stages.frames));
+                } else {
+                    curves[if engine == Engine::Paper { 3 } else { 4 }].push((x, o.stages.frames));
                 }
             }
         }
