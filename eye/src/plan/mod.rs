@@ -227,7 +227,9 @@ fn planned_tiles(
     let kernels: Vec<&KernelSpec> = tiles.iter().map(|tile| &tile.kernels).collect();
     let table =
         setup.reach_deg().and_then(|reach| table_for(&kernels, &setup.projection, reach)).map(Box::new);
-    tiles.iter_mut().for_each(|tile| tile.kernels.wavefronts.clone_from(&table));
+    for tile in &mut tiles {
+        tile.kernels.wavefronts.clone_from(&table);
+    }
     Ok(tiles)
 }
 

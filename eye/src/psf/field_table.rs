@@ -106,7 +106,7 @@ impl FieldTable {
         let xs = chebyshev(min.x, max.x, nodes[0].max(1));
         let ys = chebyshev(min.y, max.y, nodes[1].max(1));
         let wavelengths = WavelengthNodes::new(eye, range_nm);
-        let mirrored = min.y == -max.y && eye.prescription().is_mirror_image();
+        let mirrored = min.y.to_bits() == (-max.y).to_bits() && eye.prescription().is_mirror_image();
         let rows = if mirrored { ys.len().div_ceil(2) } else { ys.len() };
         let jobs: Vec<(f64, f64, f64)> = wavelengths
             .nm()
