@@ -5,7 +5,7 @@
 //! `t = −(S₀ + 3 S_c cos 2θ + 3 S_s sin 2θ)/(4π² r³)` (in two dimensions |ν| has the transform −1/(4π² r³); a second harmonic, three times
 //! that). A cone at x counts too much from the copies, `Σ_{n≠0} ∫ L(y) t(x − y − nP) dy`, and misses the screen beyond the window.
 //!
-//! The light is taken in blocks a quarter as wide as they are far. The sum over copies is direct for the nearest, the rest an integral.
+//! The light is taken in blocks a third (beyond the window half) as wide as they are far. The sum over copies is direct for the nearest, the rest an integral.
 //! The correction is made at Chebyshev nodes over the cones, read out on a fine grid and interpolated linearly at each cone. Movement within
 //! a frame is small against the distances and left out.
 //!
@@ -34,7 +34,7 @@ const COPIES: i32 = 2;
 /// Angular terms: 1, cos 2θ, sin 2θ.
 const TERMS: usize = 3;
 /// Pixels along each side of a block beyond the window that are looked at, at most.
-const LOOKS: u32 = 6;
+const LOOKS: u32 = 4;
 
 /// One cone, where it reads the correction.
 struct Reader {
@@ -83,7 +83,7 @@ impl Tail {
         let size = DVec2::new(size_px[0] as f64, size_px[1] as f64);
         let period = DVec2::new(scene.period_px[0] as f64, scene.period_px[1] as f64);
         let gap = (period - max.max(max - min).max(size - min)).min_element().max(1.0);
-        let block_px = ((0.25 * gap) as usize).max(1);
+        let block_px = ((gap / 3.0) as usize).max(1);
         let blocks = size_px.map(|s| s.div_ceil(block_px));
         let middles = (0..blocks[0] * blocks[1]).map(|b| {
             let along = |at: usize, axis: usize| {
@@ -300,7 +300,7 @@ fn beyond(projector: &Projector, scene: &Scene, [min, max]: [DVec2; 2]) -> (Vec<
         let middle = 0.5 * (from + to);
         let gap = (min - to).max(from - max).max(DVec2::ZERO).length();
         let size = to - from;
-        if size.max_element() > (0.25 * gap).max(1.0) {
+        if size.max_element() > (0.5 * gap).max(1.0) {
             // Halve the longer side.
             if size.x >= size.y {
                 let x = x0.midpoint(x1);
