@@ -11,7 +11,7 @@ use crate::experiment::{Experiment, RangeError, check_range};
 pub struct Knobs {
     /// Error of the low-rank basis in its own norm.
     pub basis_tolerance: Option<f64>,
-    /// Light above the highest frequency that is kept, L2, see [`super::band`].
+    /// Light above the highest frequency that is kept, L2, see `plan/band.rs`.
     pub band_loss: Option<f64>,
     /// Distance between a cone and the nearest copy of the picture, µm.
     pub guard_um: Option<f64>,

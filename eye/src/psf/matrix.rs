@@ -9,7 +9,7 @@
 //! From a point of the reference sphere (radius R) to ξ it is R − p·ξ + (|ξ|² − (p·ξ)²)/2R + …. With p = m + d, m the pupil's middle, what
 //! changes over the pupil is ε = (m·ξ)(d·ξ)/R + (d·ξ)²/2R, some 0.2/k' at 25° from the line of sight in a spread 80 µm wide. There
 //! exp(−ik'ε) is expanded: field = Σ_ab c_ab(ξ) M_ab, M_ab the same integral with the weight d_i^a d_j^b, a + b ≤ 2. Where the light of
-//! the spread sees less than [`LEAST_EPSILON`] of it, M_00 is all.
+//! the spread sees less than `LEAST_EPSILON` of it, M_00 is all.
 //!
 //! # Cost
 //! N = 0.95·ω/2 + 9 nodes per diameter (1.05·ω/2 + 12 for strong phases), ω/2 = half-width/λ'·π·(slope + reach):

@@ -1,5 +1,5 @@
 //! Audit: a few cones of a result, chosen at random, computed again by a slow sum that shares no kernel, grid or basis with the engines
-//! ([`direct`] over the point spreads of [`collection`]); and what that says of the whole result ([`verdict`]).
+//! (`direct` over the point spreads of `collection`); and what that says of the whole result ([`verdict`]).
 //!
 //! Sample j of K stands for one (frame, tile) of all, evenly, and there for one cone, with probability `q = ½ m/Σm + ½ 1/N`: lit cones come
 //! often, and a cone that wrongly got nothing comes too. `Σ|m − reference|/q` over samples estimates the sum over all cones.
