@@ -92,8 +92,8 @@ impl ArtifactSpec {
     fn version(&self) -> u32 {
         match self {
             Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 2,
-            Self::Wavefronts(_) => 1,
-            Self::Kernels(_) => 7,
+            Self::Wavefronts(_) => 2,
+            Self::Kernels(_) => 8,
         }
     }
 

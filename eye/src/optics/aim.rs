@@ -14,8 +14,28 @@ use glam::{DMat2, DVec2, DVec3};
 const BACK_MM: f64 = 25.0;
 /// A ray is aimed when it meets the stop this close to the wanted point, mm.
 const TOLERANCE_MM: f64 = 1e-11;
+/// By how much a step of Broyden's method shrinks a miss, about, once its slope is known.
+const GAIN: f64 = 1e3;
 /// Step of the finite differences, mm.
 const STEP_MM: f64 = 1e-5;
+
+/// A launch point, mm, and the inverse slope d(launch)/d(stop) there, as far as it is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Launch {
+    pub uv: DVec2,
+    pub inverse: DMat2,
+}
+
+/// An aimed ray.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Aimed {
+    pub launch: Launch,
+    /// Where it crosses the stop, mm from its centre.
+    pub stop: DVec2,
+    /// Path from the object to its start less that to the apex, mm.
+    pub path_before: f64,
+    pub traced: Traced,
+}
 
 /// Rays of one object at one wavelength, to be aimed at the stop.
 #[derive(Clone, Copy, Debug)]
@@ -129,29 +149,45 @@ impl<'a> Aimer<'a> {
         Some(uv)
     }
 
-    /// Launch point of the ray through `target` of the stop, by Broyden's method from a nearby solution `start` with
-    /// inverse slope `inverse`, which is improved on the way; Newton's when that does not settle.
-    pub(super) fn near(&self, target: DVec2, start: DVec2, inverse: &mut DMat2) -> Option<DVec2> {
-        let mut uv = start;
-        let mut miss = self.stop(uv)? - target;
+    /// The ray that meets the stop at `target`, by Broyden's method from a nearby launch point with its inverse
+    /// slope, which is improved on the way; by Newton's when that does not settle.
+    pub(super) fn near(&self, target: DVec2, start: Launch) -> Option<Aimed> {
+        let mut launch = start;
+        let mut miss = self.stop(launch.uv)? - target;
         for _ in 0..12 {
             if miss.length() <= TOLERANCE_MM {
-                return Some(uv);
+                return self.aimed(launch);
             }
-            let step = -(*inverse * miss);
-            uv += step;
-            let Some(s) = self.stop(uv) else { break };
+            let step = -(launch.inverse * miss);
+            launch.uv += step;
+            // A miss shrinks by some thousand a step: the trace itself is the last check.
+            let traced = (miss.length() <= GAIN * TOLERANCE_MM).then(|| self.aimed(launch)).flatten();
+            let Some(s) = traced.map(|aimed| aimed.stop).or_else(|| self.stop(launch.uv)) else { break };
             let change = (s - target) - miss;
             miss = s - target;
-            let moved = *inverse * change;
+            let moved = launch.inverse * change;
             let scale = step.dot(moved);
             if scale.abs() > 1e-300 {
                 let error = (step - moved) / scale;
-                let row = inverse.transpose() * step;
-                *inverse += DMat2::from_cols(error * row.x, error * row.y);
+                let row = launch.inverse.transpose() * step;
+                launch.inverse += DMat2::from_cols(error * row.x, error * row.y);
+            }
+            if let Some(aimed) = traced
+                && miss.length() <= TOLERANCE_MM
+            {
+                return Some(Aimed { launch, ..aimed });
             }
         }
-        self.newton(target, start)
+        self.aimed(Launch { uv: self.newton(target, start.uv)?, ..start })
+    }
+
+    /// The ray of a launch point, and where it crosses the stop.
+    fn aimed(&self, launch: Launch) -> Option<Aimed> {
+        let (ray, path_before) = self.launch(launch.uv);
+        let traced = self.trace(&ray);
+        let crossing = traced.stop?;
+        let stop = DVec2::new(crossing.x, crossing.y + self.eye.state.decentre_mm);
+        Some(Aimed { launch, stop, path_before, traced })
     }
 }
 

@@ -8,14 +8,18 @@
 //!
 //! Nodes: Gauss–Legendre in r² times uniform azimuth; weights sum to π, the area of the unit stop.
 
-use super::aim::Aimer;
+use super::aim::{Aimed, Aimer, Launch};
 use super::error::OpticsError;
 use super::object::Object;
 use super::schematic_eye::SchematicEye;
 use super::trace::Traced;
+use crate::exposure::nodes::lagrange;
 use crate::psf::quadrature::gauss_legendre;
 use glam::{DMat2, DMat3, DVec2, DVec3};
 use std::f64::consts::PI;
+
+/// How many wavelengths before are continued.
+const CONTINUED: usize = 2;
 
 /// How many rays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,6 +74,8 @@ pub struct PupilBundle {
     pub rays: Vec<PupilRay>,
     /// Rays along the edge of the stop, at uniform azimuth from 0.
     pub edge: Vec<PupilRay>,
+    /// How the rays and those of the edge were launched.
+    launches: [Vec<Launch>; 2],
 }
 
 struct Sphere {
@@ -117,6 +123,52 @@ impl PupilBundle {
         points: &[(DVec2, f64)],
         rim: &[(DVec2, f64)],
     ) -> Result<Self, OpticsError> {
+        Self::trace_from(eye, object, wavelength_nm, [points, rim], None)
+    }
+
+    /// The rays of several wavelengths through the same points, each aimed by continuing those of the wavelengths before it.
+    ///
+    /// # Errors
+    /// As [`PupilBundle::trace`].
+    pub fn trace_series(
+        eye: &SchematicEye,
+        object: Object,
+        wavelengths_nm: &[f64],
+        points: &[(DVec2, f64)],
+        rim: &[(DVec2, f64)],
+    ) -> Result<Vec<Self>, OpticsError> {
+        let mut made: Vec<Self> = Vec::with_capacity(wavelengths_nm.len());
+        for &nm in wavelengths_nm {
+            let guess = Self::continued(&made[made.len().saturating_sub(CONTINUED)..], nm);
+            made.push(Self::trace_from(eye, object, nm, [points, rim], guess.as_ref())?);
+        }
+        Ok(made)
+    }
+
+    /// The launches at a wavelength on the polynomial through those of these bundles.
+    fn continued(bundles: &[Self], wavelength_nm: f64) -> Option<[Vec<Launch>; 2]> {
+        let last = bundles.last()?;
+        let nodes: Vec<f64> = bundles.iter().map(|bundle| bundle.wavelength_nm).collect();
+        let weights = lagrange(&nodes, wavelength_nm);
+        let sum = |k: usize, i: usize| {
+            let mut sum = Launch { uv: DVec2::ZERO, inverse: DMat2::ZERO };
+            for (bundle, weight) in bundles.iter().zip(&weights) {
+                let launch = &bundle.launches[k][i];
+                sum.uv += *weight * launch.uv;
+                sum.inverse += *weight * launch.inverse;
+            }
+            sum
+        };
+        Some([0, 1].map(|k| (0..last.launches[k].len()).map(|i| sum(k, i)).collect()))
+    }
+
+    fn trace_from(
+        eye: &SchematicEye,
+        object: Object,
+        wavelength_nm: f64,
+        [points, rim]: [&[(DVec2, f64)]; 2],
+        guess: Option<&[Vec<Launch>; 2]>,
+    ) -> Result<Self, OpticsError> {
         let lost = || OpticsError::NoRay { angle_deg: object.angle_deg() };
         let aimer = Aimer::new(eye, object, wavelength_nm)?;
         let chief_uv = aimer.chief().ok_or_else(lost)?;
@@ -134,9 +186,10 @@ impl PupilBundle {
         };
         let chief_path = sphere.meet(&chief, chief_before).ok_or_else(lost)?.0;
         let inverse = aimer.slope(chief_uv).ok_or_else(lost)?.inverse();
-        let tracer = Tracer { aimer, sphere, chief_path, start: (DVec2::ZERO, chief_uv, inverse) };
-        let rays = tracer.rays(points).ok_or_else(lost)?;
-        let edge = tracer.rays(rim).ok_or_else(lost)?;
+        let tracer = Tracer { aimer, sphere, chief_path, start: Launch { uv: chief_uv, inverse } };
+        let [inner, outer] = guess.map_or([None; 2], |[inner, outer]| [Some(&inner[..]), Some(&outer[..])]);
+        let (rays, inner) = tracer.rays(points, inner).ok_or_else(lost)?;
+        let (edge, outer) = tracer.rays(rim, outer).ok_or_else(lost)?;
         Ok(Self {
             chief,
             landing,
@@ -146,6 +199,7 @@ impl PupilBundle {
             wavelength_nm,
             rays,
             edge,
+            launches: [inner, outer],
         })
     }
 
@@ -172,34 +226,41 @@ impl PupilBundle {
     }
 }
 
-/// A solved ray that others start from: stop point (mm), launch point (mm), inverse slope.
-type Seed = (DVec2, DVec2, DMat2);
-
 struct Tracer<'a> {
     aimer: Aimer<'a>,
     sphere: Sphere,
     chief_path: f64,
-    start: Seed,
+    /// The chief ray's.
+    start: Launch,
 }
 
 impl Tracer<'_> {
-    /// One ray after the other, each aimed from the one before it or, when that is farther off, from the chief ray.
-    fn rays(&self, points: &[(DVec2, f64)]) -> Option<Vec<PupilRay>> {
+    /// One ray after the other, each aimed from its `guess` or else from the one before it or, when that is farther off, from the chief
+    /// ray.
+    fn rays(
+        &self,
+        points: &[(DVec2, f64)],
+        guess: Option<&[Launch]>,
+    ) -> Option<(Vec<PupilRay>, Vec<Launch>)> {
         let radius = self.aimer.stop_radius_mm();
-        let mut seed = self.start;
-        points
-            .iter()
-            .map(|&(stop, weight)| {
-                let target = stop * radius;
+        let mut seed = (DVec2::ZERO, self.start);
+        let mut launches = Vec::with_capacity(points.len());
+        let mut rays = Vec::with_capacity(points.len());
+        for (k, &(stop, weight)) in points.iter().enumerate() {
+            let target = stop * radius;
+            let start = guess.and_then(|guess| guess.get(k).copied()).unwrap_or_else(|| {
                 if (target - seed.0).length() > target.length() {
-                    seed = self.start;
+                    seed = (DVec2::ZERO, self.start);
                 }
-                let start = seed.1 + seed.2 * (target - seed.0);
-                let uv = self.aimer.near(target, start, &mut seed.2)?;
-                (seed.0, seed.1) = (target, uv);
-                self.ray(stop, weight, uv)
-            })
-            .collect()
+                let uv = seed.1.uv + seed.1.inverse * (target - seed.0);
+                Launch { uv, ..seed.1 }
+            });
+            let aimed = self.aimer.near(target, start)?;
+            seed = (target, aimed.launch);
+            launches.push(aimed.launch);
+            rays.push(self.ray(weight, &aimed)?);
+        }
+        Some((rays, launches))
     }
 
     /// A measured wavefront error at a place of the stop, mm of air; 0 at its centre.
@@ -210,18 +271,18 @@ impl Tracer<'_> {
         1e-3 * (at(stop) - at(DVec2::ZERO))
     }
 
-    fn ray(&self, stop: DVec2, weight: f64, uv: DVec2) -> Option<PupilRay> {
-        let (ray, before) = self.aimer.launch(uv);
-        let traced = self.aimer.trace(&ray);
+    fn ray(&self, weight: f64, aimed: &Aimed) -> Option<PupilRay> {
+        let traced = &aimed.traced;
+        let stop = aimed.stop / self.aimer.stop_radius_mm();
         // The rim may fail the iris by a rounding error; what counts is that the retina is reached.
         let landing = traced.hits[4]?;
-        let (path, q) = self.sphere.meet(&traced, before)?;
+        let (path, q) = self.sphere.meet(traced, aimed.path_before)?;
         let path = path - self.extra_mm(stop);
         Some(PupilRay {
             stop,
             weight,
-            launch: uv,
-            irradiance: self.aimer.irradiance(uv),
+            launch: aimed.launch.uv,
+            irradiance: self.aimer.irradiance(aimed.launch.uv),
             q: q.truncate(),
             q_normal: q.z,
             opd_mm: (path - self.chief_path) / self.sphere.n_vitreous,
@@ -232,16 +293,25 @@ impl Tracer<'_> {
 }
 
 impl PupilNodes {
-    /// Points of the unit stop with weights that sum to π, spoke by spoke from the centre out.
+    /// Points of the unit stop with weights that sum to π, ring by ring from the innermost.
     pub fn points(&self) -> Vec<(DVec2, f64)> {
-        let radii = gauss_legendre(self.radial);
-        let azimuths = self.azimuth.max(1) as f64;
-        (0..self.azimuth)
-            .flat_map(|a| {
-                let way = DVec2::from_angle(2.0 * PI * (a as f64 + 0.5) / azimuths);
-                radii.iter().map(move |&(x, w)| (way * (0.5 * (1.0 + x)).sqrt(), w * 0.5 * PI / azimuths))
-            })
-            .collect()
+        self.rings(|_| self.azimuth)
+    }
+
+    /// The same with fewer azimuths on inner rings: harmonic m of a smooth function falls as the m-th power of the radius.
+    pub fn thinned(&self) -> Vec<(DVec2, f64)> {
+        let whole = self.azimuth as f64;
+        self.rings(|radius| (0.5 * whole * (0.35 + 0.75 * radius).min(1.0)).ceil() as usize * 2)
+    }
+
+    fn rings(&self, azimuths: impl Fn(f64) -> usize) -> Vec<(DVec2, f64)> {
+        let ring = |(x, w): (f64, f64)| {
+            let radius = (0.5 * (1.0 + x)).sqrt();
+            let count = azimuths(radius);
+            let each = PI / count as f64;
+            (0..count).map(move |a| (radius * DVec2::from_angle((2 * a + 1) as f64 * each), 0.5 * w * each))
+        };
+        gauss_legendre(self.radial).into_iter().flat_map(ring).collect()
     }
 
     /// Points of the rim at azimuth 2πk/edge.

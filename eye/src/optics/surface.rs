@@ -115,6 +115,6 @@ pub fn refract(d: DVec3, normal: DVec3, n_before: f64, n_after: f64) -> Option<D
     if cos2_out < 0.0 {
         return None;
     }
-    let out = mu * d + (mu * cos_in - cos2_out.sqrt()) * normal;
-    Some(out / out.length())
+    // A unit vector, as d and the normal are.
+    Some(mu * d + (mu * cos_in - cos2_out.sqrt()) * normal)
 }

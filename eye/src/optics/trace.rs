@@ -189,7 +189,8 @@ impl SchematicEye {
     }
 
     fn inside_pupil(&self, s: DVec3) -> bool {
-        s.x.hypot(s.y + self.state.decentre_mm) <= self.stop_radius_mm * (1.0 + 1e-9)
+        let from_centre = DVec2::new(s.x, s.y + self.state.decentre_mm);
+        from_centre.length_squared() <= (self.stop_radius_mm * (1.0 + 1e-9)).powi(2)
     }
 }
 

@@ -11,7 +11,7 @@
 //! 5e-4, 9 nodes ±30° to 6e-3 at 3 mm (tilt: 0.02 µm of place) and 11 nodes to 6e-4 at 8 mm; see the test.
 //!
 //! # Cost
-//! One [`Wavefront`] a node and traced wavelength: 10 for a polyline of three pieces, 9 for a smooth law.
+//! One [`Wavefront`] a node and traced wavelength: 10 for a polyline of three pieces, 9 for a smooth law; those of a node are one series.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -108,22 +108,17 @@ impl FieldTable {
         let wavelengths = WavelengthNodes::new(eye, range_nm);
         let mirrored = min.y.to_bits() == (-max.y).to_bits() && eye.prescription().is_mirror_image();
         let rows = if mirrored { ys.len().div_ceil(2) } else { ys.len() };
-        let jobs: Vec<(f64, f64, f64)> = wavelengths
-            .nm()
-            .iter()
-            .flat_map(|&nm| ys[..rows].iter().map(move |&y| (nm, y)))
-            .flat_map(|(nm, y)| xs.iter().map(move |&x| (nm, y, x)))
-            .collect();
-        let traced: Vec<Wavefront> = jobs
+        let points: Vec<DVec2> =
+            ys[..rows].iter().flat_map(|&y| xs.iter().map(move |&x| DVec2::new(x, y))).collect();
+        let traced: Vec<Vec<Wavefront>> = points
             .par_iter()
-            .map(|&(nm, y, x)| Wavefront::new(eye, projection.object(DVec2::new(x, y)), nm, options))
+            .map(|&t| Wavefront::series(eye, projection.object(t), wavelengths.nm(), options))
             .collect::<Result<_, _>>()?;
-        let plane = rows * xs.len();
         let mut all = Vec::with_capacity(wavelengths.nm().len() * ys.len() * xs.len());
-        for plane in traced.chunks_exact(plane) {
-            all.extend_from_slice(plane);
-            for row in plane.chunks_exact(xs.len()).take(ys.len() - rows).rev() {
-                all.extend(row.iter().map(Wavefront::mirrored));
+        for k in 0..wavelengths.nm().len() {
+            all.extend(traced.iter().map(|series| series[k].clone()));
+            for row in traced.chunks_exact(xs.len()).take(ys.len() - rows).rev() {
+                all.extend(row.iter().map(|series| series[k].mirrored()));
             }
         }
         let (prescription, state) = (eye.prescription().clone(), eye.state());

@@ -96,8 +96,7 @@ impl WavefrontTable {
         options: &WavefrontOptions,
     ) -> Result<Self, OpticsError> {
         let wavelengths = WavelengthNodes::new(eye, range_nm);
-        let nodes = wavelengths.nm().iter().map(|&nm| Wavefront::new(eye, object, nm, options));
-        let nodes = nodes.collect::<Result<_, _>>()?;
+        let nodes = Wavefront::series(eye, object, wavelengths.nm(), options)?;
         Ok(Self::from_nodes(eye.clone(), wavelengths, nodes))
     }
 
@@ -126,7 +125,7 @@ impl WavefrontTable {
             return Ok(Vec::new());
         };
         if wavelengths_nm.len() <= WavelengthNodes::new(eye, [*first, *last]).nm().len() {
-            return wavelengths_nm.iter().map(|&nm| Wavefront::new(eye, object, nm, options)).collect();
+            return Wavefront::series(eye, object, wavelengths_nm, options);
         }
         let table = Self::new(eye, object, [*first, *last], options)?;
         Ok(wavelengths_nm.iter().map(|&nm| table.at(nm)).collect())

@@ -105,26 +105,54 @@ impl Wavefront {
         wavelength_nm: f64,
         options: &WavefrontOptions,
     ) -> Result<Self, OpticsError> {
+        Self::series(eye, object, &[wavelength_nm], options)?
+            .pop()
+            .ok_or(OpticsError::NoRay { angle_deg: object.angle_deg() })
+    }
+
+    /// The wavefronts of an object at several vacuum wavelengths (nm), each aimed from the one before it.
+    ///
+    /// # Errors
+    /// As [`Wavefront::new`].
+    pub fn series(
+        eye: &SchematicEye,
+        object: Object,
+        wavelengths_nm: &[f64],
+        options: &WavefrontOptions,
+    ) -> Result<Vec<Self>, OpticsError> {
         let degree = options.degree.unwrap_or(if eye.state().pupil_mm <= 4.0 { 8 } else { 12 }).clamp(2, 20);
         let nodes = PupilNodes {
             radial: options.radial_nodes.unwrap_or(degree / 2 + 1).max(2),
             azimuth: options.azimuth_nodes.unwrap_or(2 * degree + 2).max(6),
-            edge: 2 * degree + 9,
+            edge: 2 * degree + 5,
         };
+        let (points, rim) = (nodes.thinned(), nodes.rim());
         let rho = options.stiles_crawford.map_or(0.0, |s| s.rho_base10_per_mm2);
         crate::optics::error::in_range("rho_base10_per_mm2", rho, -0.5, 0.5)?;
-        let bundle = PupilBundle::trace(eye, object, wavelength_nm, nodes)?;
-        let lost = OpticsError::NoRay { angle_deg: object.angle_deg() };
-        let Some((centre, axes)) = pupil_coordinates(&bundle) else {
-            return Err(lost);
+        let bundles = PupilBundle::trace_series(eye, object, wavelengths_nm, &points, &rim)?;
+        let fitted = |bundle: &PupilBundle| Self::fitted(eye, bundle, options.amplitude, rho, degree, object);
+        bundles.iter().map(fitted).collect()
+    }
+
+    /// The wavefront through the rays of a bundle.
+    fn fitted(
+        eye: &SchematicEye,
+        bundle: &PupilBundle,
+        kind: Amplitude,
+        rho: f64,
+        degree: usize,
+        object: Object,
+    ) -> Result<Self, OpticsError> {
+        let Some((centre, axes)) = pupil_coordinates(bundle) else {
+            return Err(OpticsError::NoRay { angle_deg: object.angle_deg() });
         };
-        let fitted = Fitted::new(eye, &bundle, options.amplitude, rho, degree, centre, axes);
+        let fitted = Fitted::new(eye, bundle, kind, rho, degree, centre, axes);
         Ok(Self {
-            wavelength_nm,
+            wavelength_nm: bundle.wavelength_nm,
             n_vitreous: bundle.n_vitreous,
             landing_um: eye.fovea().um_from_point(bundle.landing),
             landing: bundle.landing,
-            meridional_angle: meridional_angle_of(eye, &bundle),
+            meridional_angle: meridional_angle_of(eye, bundle),
             radius_um: 1e3 * bundle.radius_mm,
             centre,
             axes,
@@ -307,16 +335,15 @@ impl Fitted {
         let (stop_x, stop_y) = (design.fit(rays().map(|r| r.stop.x)), design.fit(rays().map(|r| r.stop.y)));
         let (launch_x, launch_y) =
             (design.fit(rays().map(|r| r.launch.x)), design.fit(rays().map(|r| r.launch.y)));
-        let stop_per_s = Jacobian::new(&stop_x, &stop_y);
-        let launch_per_s = Jacobian::new(&launch_x, &launch_y);
+        let per_s = Jacobians::new([&stop_x, &stop_y, &launch_x, &launch_y]);
         let entrance_mm = eye.stop_radius_mm() * eye.stop_magnification();
         let (mut flux, mut sum, mut open, mut kept) = (0.0, 0.0, 0.0, 0.0);
         // Light that the cones accept, its paths in cornea and lens, and the square of the last.
         let (mut accepted, mut cornea, mut lens, mut square) = (0.0, 0.0, 0.0, 0.0);
         let mut amplitudes = Vec::with_capacity(points.len());
         for (ray, s) in bundle.rays.iter().zip(&points) {
-            let stop_area = stop_per_s.at(*s);
-            let flux_density = ray.irradiance * launch_per_s.at(*s);
+            let [stop_area, launch_area] = per_s.at(*s);
+            let flux_density = ray.irradiance * launch_area;
             let amplitude = match kind {
                 Amplitude::Flux => flux_density.sqrt(),
                 Amplitude::Uniform => stop_area,
@@ -355,17 +382,39 @@ impl Fitted {
     }
 }
 
-/// |∂(x, y)/∂s| of two fitted maps.
-struct Jacobian([[Polynomial2; 2]; 2]);
+/// |∂(x, y)/∂s| of two maps of the plane, coefficient by coefficient beside each other.
+struct Jacobians {
+    degree: usize,
+    coefficients: Vec<[f64; 4]>,
+}
 
-impl Jacobian {
-    fn new(x: &Polynomial2, y: &Polynomial2) -> Self {
-        Self([x.gradient(), y.gradient()])
+impl Jacobians {
+    /// Of the maps (x, y) and (z, w), fitted with the same degree.
+    fn new(maps: [&Polynomial2; 4]) -> Self {
+        let [x, y, z, w] = maps.map(Polynomial2::coefficients);
+        let coefficients = x.iter().zip(y).zip(z.iter().zip(w)).map(|((x, y), (z, w))| [*x, *y, *z, *w]);
+        Self { degree: maps[0].degree(), coefficients: coefficients.collect() }
     }
 
-    fn at(&self, s: DVec2) -> f64 {
-        let [x, y] = &self.0;
-        (x[0].at(s) * y[1].at(s) - x[1].at(s) * y[0].at(s)).abs()
+    /// Both at a point, by Horner's scheme with its derivative.
+    fn at(&self, s: DVec2) -> [f64; 2] {
+        let times = |a: [f64; 4], t: f64, b: [f64; 4]| -> [f64; 4] { std::array::from_fn(|l| a[l] * t + b[l]) };
+        let (mut value, mut by_x, mut by_y) = ([0.0; 4], [0.0; 4], [0.0; 4]);
+        let mut end = self.coefficients.len();
+        // Rows of equal power of x, the highest (the shortest) first.
+        for length in 1..=self.degree + 1 {
+            let row = &self.coefficients[end - length..end];
+            end -= length;
+            let (mut along, mut slope) = ([0.0; 4], [0.0; 4]);
+            for c in row.iter().rev() {
+                slope = times(slope, s.y, along);
+                along = times(along, s.y, *c);
+            }
+            by_x = times(by_x, s.x, value);
+            value = times(value, s.x, along);
+            by_y = times(by_y, s.x, slope);
+        }
+        [0, 2].map(|l| (by_x[l] * by_y[l + 1] - by_y[l] * by_x[l + 1]).abs())
     }
 }
 
