@@ -93,14 +93,15 @@ pub struct WorkReport {
     pub budget: PhotonBudget,
     /// Counts of rare events (rays lost, degenerate pairs, voids, clamps).
     pub diagnostics: BTreeMap<String, u64>,
-    /// Cones by type L, M, S in the artifact or shard.
+    /// Cones by type L, M, S in an artifact that has them.
+    #[serde(default)]
     pub cones: [u64; 3],
     /// Sum of counts by type.
     pub counted: [f64; 3],
 }
 
 impl WorkReport {
-    /// Adds another report: seconds, fates and events add up, memory is the maximum. `cones` is kept (the same cones in every frame).
+    /// Adds another report: seconds, fates and events add up, memory is the maximum.
     pub fn merge(&mut self, other: &Self) {
         for (stage, seconds) in &other.seconds {
             *self.seconds.entry(stage.clone()).or_default() += seconds;
@@ -115,7 +116,6 @@ impl WorkReport {
             *self.diagnostics.entry(event.clone()).or_default() += count;
         }
         for i in 0..3 {
-            self.cones[i] = self.cones[i].max(other.cones[i]);
             self.counted[i] += other.counted[i];
         }
     }

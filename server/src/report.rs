@@ -49,6 +49,9 @@ impl Service {
         }
         merged.audit.sort_by_key(|s| (s.frame, s.tile, s.cone));
         let plan: Value = self.stored(&facts.texts[1]).await?;
+        // The same cones in every frame.
+        let first = facts.frames.get(0).map_or(&Value::Null, |frame| &frame["types"]);
+        let cones = json!({"l": first["l"]["cones"], "m": first["m"]["cones"], "s": first["s"]["cones"]});
         let spec: Value = self.stored(&facts.texts[0]).await?;
         Ok(json!({
             "id": id,
@@ -70,7 +73,7 @@ impl Service {
             "peak_memory_bytes": merged.peak_memory_bytes,
             "photon_budget": merged.budget,
             "diagnostics": merged.diagnostics,
-            "cones": {"l": merged.cones[0], "m": merged.cones[1], "s": merged.cones[2]},
+            "cones": cones,
             "frames": facts.frames,
         }))
     }

@@ -171,7 +171,6 @@ fn tell(report: &mut WorkReport, frame: &Frame, summary: &Summary) {
     for (event, count) in &frame.diagnostics {
         *report.diagnostics.entry(event.clone()).or_default() += count;
     }
-    report.cones = summary.cones;
     for i in 0..3 {
         report.counted[i] += summary.sum[i];
     }

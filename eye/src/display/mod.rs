@@ -69,6 +69,9 @@ pub enum Transfer {
     Pq,
 }
 
+/// Pixel values of 8-bit pictures with their light.
+type Steps = [(f32, f64); 256];
+
 impl Transfer {
     /// Relative light of a pixel value.
     pub fn light(self, value: f64) -> f64 {
@@ -84,21 +87,26 @@ impl Transfer {
         }
     }
 
-    /// As [`Transfer::light`]; values of 8-bit pictures are looked up (the same numbers, ten times as fast).
-    pub fn light_of_pixel(self, value: f32) -> f64 {
-        let step = (value * 255.0).round();
-        if (0.0..=255.0).contains(&step) && (step / 255.0).to_bits() == value.to_bits() {
-            return self.steps()[step as usize];
+    /// As [`Transfer::light`] of a clamped value; values of 8-bit pictures are looked up (the same numbers, ten times as fast).
+    fn light_of_pixel(self, steps: &Steps, value: f32) -> f64 {
+        // Rounded; a negative number or none becomes 0.
+        let step = (value * 255.0 + 0.5) as usize;
+        match steps.get(step) {
+            Some((known, light)) if known.to_bits() == value.to_bits() => *light,
+            Some(_) | None => self.light(f64::from(value).clamp(0.0, 1.0)),
         }
-        self.light(f64::from(value).clamp(0.0, 1.0))
     }
 
-    /// Light of the values i/255.
-    fn steps(self) -> &'static [f64; 256] {
-        static TABLES: OnceLock<[[f64; 256]; 4]> = OnceLock::new();
+    /// The values i/255 with their light.
+    fn steps(self) -> &'static Steps {
+        static TABLES: OnceLock<[Steps; 4]> = OnceLock::new();
         let tables = TABLES.get_or_init(|| {
-            [Self::Srgb, Self::Bt1886, Self::Linear, Self::Pq]
-                .map(|transfer| std::array::from_fn(|i| transfer.light(f64::from(i as f32 / 255.0))))
+            [Self::Srgb, Self::Bt1886, Self::Linear, Self::Pq].map(|transfer| {
+                std::array::from_fn(|i| {
+                    let value = i as f32 / 255.0;
+                    (value, transfer.light(f64::from(value)))
+                })
+            })
         });
         &tables[match self {
             Self::Srgb => 0,
@@ -145,6 +153,18 @@ pub enum Channel {
     White,
     /// Nothing: light that the screen reflects, always on.
     Room,
+}
+
+impl Channel {
+    /// Its place in a pixel's red, green and blue, if it is one of them.
+    fn index(self) -> Option<usize> {
+        match self {
+            Self::Red => Some(0),
+            Self::Green => Some(1),
+            Self::Blue => Some(2),
+            Self::White | Self::Room => None,
+        }
+    }
 }
 
 /// One colour of a display.
@@ -234,12 +254,27 @@ impl Display {
         self.black + (1.0 - self.black) * self.driven(channel, rgb, place)
     }
 
+    /// The same for pixels of a row, `rgb[3·pixel + channel]`, the first of them at `place`.
+    pub fn light_row(&self, channel: Channel, rgb: &[f32], place: Place, light: &mut [f64]) {
+        let pixels = light.iter_mut().zip(rgb.chunks_exact(3));
+        let (Levels::Continuous, Some(i)) = (self.panel.levels, channel.index()) else {
+            for ((light, rgb), column) in pixels.zip(place.column..) {
+                *light = self.light(channel, rgb, Place { column, ..place });
+            }
+            return;
+        };
+        let (transfer, steps) = (self.transfer, self.transfer.steps());
+        for (light, rgb) in pixels {
+            *light = self.black + (1.0 - self.black) * transfer.light_of_pixel(steps, rgb[i]);
+        }
+    }
+
     /// As [`Display::light`], above black.
     pub fn driven(&self, channel: Channel, rgb: &[f32], place: Place) -> f64 {
         let light = |i: usize| {
             let value = f64::from(rgb[i]).clamp(0.0, 1.0);
             match self.panel.levels {
-                Levels::Continuous => self.transfer.light_of_pixel(rgb[i]),
+                Levels::Continuous => self.transfer.light_of_pixel(self.transfer.steps(), rgb[i]),
                 Levels::Values { bits, dither } => self.transfer.light(stepped(value, bits, dither, place)),
                 Levels::Planes { bits, dither } => stepped(self.transfer.light(value), bits, dither, place),
             }
@@ -288,7 +323,8 @@ mod tests {
         for transfer in [Transfer::Srgb, Transfer::Bt1886, Transfer::Linear, Transfer::Pq] {
             for value in (0..=255).map(|i| i as f32 / 255.0).chain([0.3, -1.0, 2.0, f32::MIN_POSITIVE]) {
                 let exact = transfer.light(f64::from(value).clamp(0.0, 1.0));
-                assert_eq!(transfer.light_of_pixel(value).to_bits(), exact.to_bits(), "{value}");
+                let found = transfer.light_of_pixel(transfer.steps(), value);
+                assert_eq!(found.to_bits(), exact.to_bits(), "{value}");
             }
         }
     }

@@ -9,7 +9,7 @@ use glam::DVec2;
 use super::cones::{ConeTable, slant_factor};
 use super::expected::Means;
 use super::inputs::Inputs;
-use super::light::{Shown, courses, frame_light};
+use super::light::{Shown, Window, courses};
 use super::source::{Projector, Source};
 use crate::display::Emitter;
 use crate::media::MACULA_EDGE_DEG;
@@ -136,9 +136,14 @@ impl Ledger {
         let display = &projector.display;
         let courses = courses(emitter, display, shown.index);
         let mut sums = Sent::default();
-        for ((i, (slant, _)), macula) in (0_u32..).zip(&self.pixels).zip(&self.macula[primary]) {
-            let at = [i % display.width_px, i / display.width_px];
-            let emitted = emitter.emitted() * frame_light(display, emitter, &courses, shown, at);
+        let window = match self.pixels.len() {
+            0 => [0; 2],
+            _ => [display.width_px, display.height_px],
+        };
+        let window = Window { first: [0; 2], size: window };
+        let light = window.frame_light(display, emitter, &courses, shown);
+        for ((light, (slant, _)), macula) in light.iter().zip(&self.pixels).zip(&self.macula[primary]) {
+            let emitted = emitter.emitted() * light;
             sums.emitted += emitted;
             sums.entered += emitted * projector.pupil_share * slant;
             sums.macula += emitted * projector.pupil_share * f64::from(*macula);

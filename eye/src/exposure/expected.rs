@@ -18,7 +18,7 @@ use super::arriving::ConeSum;
 use super::cones::{ConeTable, MappedCone};
 use super::drive::drive;
 use super::gather::{LANES, Sheet, Stencils};
-use super::grid::{Band, Planar, Real, two_images};
+use super::grid::{Band, Planar, Real, Transforms, two_images};
 use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::scene::Scene;
@@ -125,18 +125,17 @@ impl Expected {
 
     fn frame_in<T: Real>(&self, source: &Source) -> Means {
         let drive: Vec<Planar<T>> = drive(source, &self.pixels, &self.scene, &self.band);
-        let samples = self.scene.samples;
+        let transforms = Transforms::new(self.scene.samples);
         let pair = |images: &[BasisImage]| {
             let last = images.len() - 1;
-            two_images(&self.band, [&images[0].kernels, &images[last].kernels], &drive, samples)
+            two_images(&self.band, [&images[0].kernels, &images[last].kernels], &drive, &transforms)
         };
         let sheets: Vec<Sheet> = self
             .images
             .par_chunks(LANES)
             .map(|images| {
-                let first = pair(&images[..images.len().min(2)]);
-                let second = (images.len() > 2).then(|| pair(&images[2..]));
-                self.stencils.sheet(&first, second.as_deref(), samples)
+                let pairs: Vec<_> = images.chunks(2).map(pair).collect();
+                self.stencils.sheet(&pairs, &transforms)
             })
             .collect();
         let (arrived, guided) = (self.arrived.of(&drive), self.guided.of(&drive));

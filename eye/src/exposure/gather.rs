@@ -7,12 +7,14 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex;
 
 use super::cones::{ConeTable, MappedCone};
-use super::grid::Real;
+use super::grid::{Columns, Real, Transforms};
 use super::scene::Scene;
 use super::spread::{Spread, polygon_nodes};
 
 /// Images side by side.
 pub const LANES: usize = 4;
+/// Rows that are transformed together: what a cache line holds of a column.
+const ROWS: usize = 8;
 
 /// The weights of all cones on the grid.
 #[derive(Default)]
@@ -75,29 +77,33 @@ impl Stencils {
         }
     }
 
-    /// A sheet of the real and imaginary parts of two complex images `[y][x]`; the second may be missing.
-    pub fn sheet<T: Real>(
-        &self,
-        first: &[Complex<T>],
-        second: Option<&[Complex<T>]>,
-        [columns, rows]: [usize; 2],
-    ) -> Sheet {
+    /// A sheet of one or two pairs of images.
+    pub fn sheet<T: Real>(&self, pairs: &[Columns<T>], transforms: &Transforms<T>) -> Sheet {
+        let [columns, rows] = transforms.samples;
         let pitch = columns + self.most[0];
-        let mut values = Vec::with_capacity(pitch * (rows + self.most[1]));
-        for row in 0..rows + self.most[1] {
-            let line = (row % rows) * columns..(row % rows + 1) * columns;
-            let from = values.len();
-            let a = first[line.clone()].iter();
-            match second {
-                Some(second) => values.extend(
-                    a.zip(&second[line])
-                        .map(|(a, b)| [a.re.single(), a.im.single(), b.re.single(), b.im.single()]),
-                ),
-                None => values.extend(a.map(|a| [a.re.single(), a.im.single(), 0.0, 0.0])),
+        let mut values = vec![[0.0; LANES]; pitch * (rows + self.most[1])];
+        let mut block = vec![Complex::new(T::zero(), T::zero()); ROWS.min(rows) * columns];
+        let mut scratch = Vec::new();
+        for top in (0..rows).step_by(ROWS) {
+            let count = ROWS.min(rows - top);
+            for (pair, images) in pairs.iter().enumerate() {
+                let block = &mut block[..count * columns];
+                images.rows(transforms, top, block, &mut scratch);
+                for (row, line) in block.chunks_exact(columns).enumerate() {
+                    let sheet = &mut values[(top + row) * pitch..][..columns];
+                    for (lanes, z) in sheet.iter_mut().zip(line) {
+                        (lanes[2 * pair], lanes[2 * pair + 1]) = (z.re.single(), z.im.single());
+                    }
+                }
             }
-            for column in 0..self.most[0] {
-                values.push(values[from + column % columns]);
+            for line in values[top * pitch..(top + count) * pitch].chunks_exact_mut(pitch) {
+                for column in columns..pitch {
+                    line[column] = line[column % columns];
+                }
             }
+        }
+        for row in rows..rows + self.most[1] {
+            values.copy_within((row % rows) * pitch..(row % rows + 1) * pitch, row * pitch);
         }
         Sheet { values, pitch }
     }

@@ -5,7 +5,8 @@
 
 use rayon::prelude::*;
 use rustfft::num_complex::Complex;
-use rustfft::{FftNum, FftPlanner};
+use rustfft::{Fft, FftNum, FftPlanner};
+use std::sync::Arc;
 
 /// The precision of a transform.
 pub trait Real: FftNum {
@@ -247,17 +248,60 @@ impl<T: Real> Planar<T> {
     }
 }
 
-/// Two real images as one complex one, `[y][x]` of `samples` = [columns, rows]: the sums over primaries of kernels times what is sent
-/// (`drive[primary][frequency]`), transformed back.
+/// The transforms of a grid.
+pub struct Transforms<T: Real> {
+    /// Columns and rows.
+    pub samples: [usize; 2],
+    along: [Arc<dyn Fft<T>>; 2],
+}
+
+impl<T: Real> Transforms<T> {
+    /// For a grid of columns and rows.
+    pub fn new(samples: [usize; 2]) -> Self {
+        let mut planner = FftPlanner::<T>::new();
+        Self { samples, along: samples.map(|n| planner.plan_fft_inverse(n)) }
+    }
+
+    fn scratch(&self, axis: usize) -> Vec<Complex<T>> {
+        vec![Complex::new(T::zero(), T::zero()); self.along[axis].get_inplace_scratch_len()]
+    }
+}
+
+/// Two real images as one complex one that is transformed along y only, `[x][y]`.
+pub struct Columns<T>(Vec<Complex<T>>);
+
+impl<T: Real> Columns<T> {
+    /// Transforms a block of rows from `top` on: `[y][x]` in `block`.
+    pub fn rows(
+        &self,
+        transforms: &Transforms<T>,
+        top: usize,
+        block: &mut [Complex<T>],
+        scratch: &mut Vec<Complex<T>>,
+    ) {
+        let [columns, rows] = transforms.samples;
+        let count = block.len() / columns;
+        for (x, column) in self.0.chunks_exact(rows).enumerate() {
+            for (row, z) in column[top..top + count].iter().enumerate() {
+                block[row * columns + x] = *z;
+            }
+        }
+        if scratch.is_empty() {
+            *scratch = transforms.scratch(0);
+        }
+        transforms.along[0].process_with_scratch(block, scratch);
+    }
+}
+
+/// The sums over primaries of kernels times what is sent (`drive[primary][frequency]`), for two images, transformed back along y.
 pub fn two_images<T: Real>(
     band: &Band,
     [first, second]: [&[Planar<f32>]; 2],
     drive: &[Planar<T>],
-    samples: [usize; 2],
-) -> Vec<Complex<T>> {
-    let [columns, rows] = samples;
+    transforms: &Transforms<T>,
+) -> Columns<T> {
+    let [columns, rows] = transforms.samples;
     let zero = Complex::new(T::zero(), T::zero());
-    // Laid out [x][y], so that after one transposition the result is [y][x].
     let mut values = vec![zero; columns * rows];
     let mut used = vec![false; columns];
     let (mut a, mut b) = (Planar::<T>::zeros(rows), Planar::<T>::zeros(rows));
@@ -288,17 +332,13 @@ pub fn two_images<T: Real>(
             *z = Complex::new(a_re - b_im, a_im + b_re);
         }
     }
-    let mut planner = FftPlanner::<T>::new();
-    let along_y = planner.plan_fft_inverse(rows);
-    let mut scratch = vec![zero; along_y.get_inplace_scratch_len()];
+    let mut scratch = transforms.scratch(1);
     for (line, used) in values.chunks_mut(rows).zip(used) {
         if used {
-            along_y.process_with_scratch(line, &mut scratch);
+            transforms.along[1].process_with_scratch(line, &mut scratch);
         }
     }
-    let mut values = transpose(&values, rows, columns);
-    planner.plan_fft_inverse(columns).process(&mut values);
-    values
+    Columns(values)
 }
 
 /// Σ over primaries of kernel times drive on a run of frequencies, in the first places of `sums`.
@@ -317,28 +357,21 @@ fn sum_of_products<T: Real>(kernels: &[Planar<f32>], drive: &[Planar<T>], run: &
     }
 }
 
-/// Transposes `[rows][columns]` in blocks that fit the cache.
-fn transpose<Z: Copy>(values: &[Z], columns: usize, rows: usize) -> Vec<Z> {
-    const BLOCK: usize = 16;
-    let mut out = values.to_vec();
-    for top in (0..rows).step_by(BLOCK) {
-        for left in (0..columns).step_by(BLOCK) {
-            for column in left..(left + BLOCK).min(columns) {
-                let line = &mut out[column * rows + top..column * rows + (top + BLOCK).min(rows)];
-                for (row, z) in (top..).zip(line) {
-                    *z = values[row * columns + column];
-                }
-            }
-        }
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use rustfft::num_complex::Complex64;
     use std::f64::consts::TAU;
+
+    /// A grid of 12 x 10, its rows transformed in two blocks.
+    fn image<T: Real>(columns: &Columns<T>) -> Vec<Complex<T>> {
+        let mut image = vec![Complex::new(T::zero(), T::zero()); 120];
+        let (upper, lower) = image.split_at_mut(84);
+        for (top, block) in [(0, upper), (7, lower)] {
+            columns.rows(&Transforms::new([12, 10]), top, block, &mut Vec::new());
+        }
+        image
+    }
 
     #[test]
     fn two_waves_come_back_separately() {
@@ -355,8 +388,9 @@ mod tests {
         let second = kernel(&[([-3, 1], Complex64::new(0.0, -0.5))]);
         let ones = || vec![Complex64::ONE; band.len].into_iter();
         let (drive64, drive32) = ([Planar::new(ones())], [Planar::new(ones())]);
-        let wide = two_images::<f64>(&band, [&first, &second], &drive64, [12, 10]);
-        let narrow = two_images::<f32>(&band, [&first, &second], &drive32, [12, 10]);
+        let wide = image(&two_images::<f64>(&band, [&first, &second], &drive64, &Transforms::new([12, 10])));
+        let narrow =
+            image(&two_images::<f32>(&band, [&first, &second], &drive32, &Transforms::new([12, 10])));
         for y in 0..10 {
             for x in 0..12 {
                 let (fx, fy) = (f64::from(x) / 12.0, f64::from(y) / 10.0);

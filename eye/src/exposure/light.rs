@@ -148,6 +148,27 @@ pub fn light(
     }
 }
 
+/// The same for pixels of a row, the first of them given.
+fn light_row(
+    display: &Display,
+    emitter: &Emitter,
+    shows: Shows,
+    shown: &Shown,
+    [column, row]: [u32; 2],
+    values: &mut [f64],
+) {
+    if shows != Shows::Now {
+        for (value, column) in values.iter_mut().zip(column..) {
+            *value = light(display, emitter, shows, shown, [column, row]);
+        }
+        return;
+    }
+    let picture = shown.pictures[0];
+    let at = 3 * (row as usize * picture.width as usize + column as usize);
+    let place = Place { column, row, frame: shown.index };
+    display.light_row(emitter.channel, &picture.rgb[at..at + 3 * values.len()], place, values);
+}
+
 /// Light of one bit of a pixel in its channel.
 fn bit_light(display: &Display, channel: Channel, rgb: &[f32], place: Place, bit: u32) -> f64 {
     let Levels::Planes { bits, dither } = display.panel.levels else {
@@ -192,6 +213,57 @@ pub fn frame_light(
             .iter()
             .map(|course| course.share() * light(display, emitter, course.shows, shown, at))
             .sum(),
+    }
+}
+
+/// A rectangle of pixels: first column and row, columns and rows.
+#[derive(Clone, Copy, Debug)]
+pub struct Window {
+    /// First column and row.
+    pub first: [u32; 2],
+    /// Columns and rows.
+    pub size: [u32; 2],
+}
+
+impl Window {
+    /// Rows of values, `[row][column]`; `fill` takes the first pixel of a row and its values.
+    fn rows(&self, mut fill: impl FnMut([u32; 2], &mut [f64])) -> Vec<f64> {
+        let [width, height] = self.size;
+        let mut values = vec![0.0; width as usize * height as usize];
+        for (row, line) in (self.first[1]..).zip(values.chunks_exact_mut(width.max(1) as usize)) {
+            fill([self.first[0], row], line);
+        }
+        values
+    }
+
+    /// [`light`] of its pixels.
+    pub fn light(&self, display: &Display, emitter: &Emitter, shows: Shows, shown: &Shown) -> Vec<f64> {
+        self.rows(|at, line| light_row(display, emitter, shows, shown, at, line))
+    }
+
+    /// [`frame_light`] of its pixels.
+    pub fn frame_light(
+        &self,
+        display: &Display,
+        emitter: &Emitter,
+        courses: &[Course],
+        shown: &Shown,
+    ) -> Vec<f64> {
+        let share = match courses {
+            [Course { shows: Shows::Bit(_), .. }, .., black] => black.share(),
+            [only] if only.shows == Shows::Now => only.share(),
+            _ => {
+                return self.rows(|[column, row], line| {
+                    for (value, column) in line.iter_mut().zip(column..) {
+                        *value = frame_light(display, emitter, courses, shown, [column, row]);
+                    }
+                });
+            }
+        };
+        self.rows(|at, line| {
+            light_row(display, emitter, Shows::Now, shown, at, line);
+            line.iter_mut().for_each(|value| *value *= share);
+        })
     }
 }
 
@@ -282,6 +354,54 @@ fn mean_exp(z: Complex64) -> Complex64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::display::{EmissionLaw, Panel, Transfer, Waveform, White};
+
+    /// Windows are their pixels, bit for bit: continuous levels, steps, bit planes; now and before.
+    #[test]
+    fn light_of_a_window_is_that_of_its_pixels() {
+        let rgb: Vec<f32> =
+            (0..3 * 7 * 5).map(|i| ((i * 37) % 256) as f32 / 255.0 + (i % 4) as f32 * 1e-4).collect();
+        let picture = Picture { width: 7, height: 5, rgb };
+        let shown = Shown { index: 3, pictures: vec![&picture, &picture] };
+        let window = Window { first: [2, 1], size: [4, 3] };
+        let levels = [
+            Levels::Continuous,
+            Levels::Values { bits: 6, dither: true },
+            Levels::Planes { bits: 5, dither: false },
+        ];
+        let channels = [Channel::Red, Channel::Green, Channel::Blue, Channel::White, Channel::Room];
+        for (levels, lag_ms) in levels.into_iter().flat_map(|l| [(l, 0.0), (l, 4.0)]) {
+            let display = Display {
+                width_px: 7,
+                height_px: 5,
+                pixel_pitch_cm: 0.03,
+                distance_cm: 100.0,
+                white: White::LuminanceCdM2(100.0),
+                frame_rate_hz: 60.0,
+                transfer: Transfer::Srgb,
+                black: 0.01,
+                panel: Panel { lag_ms, levels },
+                emission_law: EmissionLaw::Lambertian,
+                primaries: Vec::new(),
+            };
+            for channel in channels {
+                let (rects, waveform) = (vec![([0.0, 0.0, 1.0, 1.0], 1.0)], Waveform::Steady);
+                let emitter = Emitter { channel, photons: Vec::new(), rects, spot_sd_px: 0.0, waveform };
+                let courses = courses(&emitter, &display, shown.index);
+                let whole = window.frame_light(&display, &emitter, &courses, &shown);
+                for course in &courses {
+                    let made = window.light(&display, &emitter, course.shows, &shown);
+                    for (i, (made, whole)) in (0_u32..).zip(made.iter().zip(&whole)) {
+                        let at = [2 + i % 4, 1 + i / 4];
+                        let exact = light(&display, &emitter, course.shows, &shown, at);
+                        assert_eq!(made.to_bits(), exact.to_bits());
+                        let exact = frame_light(&display, &emitter, &courses, &shown, at);
+                        assert_eq!(whole.to_bits(), exact.to_bits());
+                    }
+                }
+            }
+        }
+    }
 
     /// The closed form of a decaying light on a straight path against a sum over time.
     #[test]

@@ -68,9 +68,10 @@ impl Scene {
         let seen_from = from - needs.centre_px - sight_max;
         let seen_to = to - needs.centre_px - sight_min;
         let reach = (cones_max - seen_from).max(seen_to - cones_min).max(DVec2::ONE) + guard;
-        let period = [even(reach.x), even(reach.y)];
         let per_px = 2.0 * needs.oversampling * needs.band * tangent_per_px;
-        let samples = period.map(|p| good_size((per_px * p as f64).ceil().max(16.0) as usize));
+        let samples_of = |p: usize| good_size((per_px * p as f64).ceil().max(16.0) as usize);
+        let period = [reach.x, reach.y].map(|reach| good_period(even(reach), samples_of));
+        let samples = period.map(samples_of);
         if let Some(&large) = samples.iter().find(|&&s| s > MAX_GRID) {
             return Err(large);
         }
@@ -129,6 +130,25 @@ fn even(px: f64) -> usize {
     ((px / 2.0).ceil() as usize).max(1) * 2
 }
 
+/// An even period of at least so many pixels, up to a sixteenth more, without large prime factors: where there are many pixels their
+/// transform is most of the work. The grid does not grow for it.
+fn good_period(at_least: usize, samples_of: impl Fn(usize) -> usize) -> usize {
+    let longer = (at_least..=at_least + at_least / 16).step_by(2);
+    longer
+        .take_while(|&n| samples_of(n) == samples_of(at_least))
+        .find(|&n| has_no_prime_above_seven(n))
+        .unwrap_or(at_least)
+}
+
+fn has_no_prime_above_seven(mut n: usize) -> bool {
+    for p in [2, 3, 5, 7] {
+        while n.is_multiple_of(p) {
+            n /= p;
+        }
+    }
+    n == 1
+}
+
 /// The next even size without prime factors but 2, 3 and at most one 5: transforms of others take twice as long.
 fn good_size(at_least: usize) -> usize {
     let smooth = |mut n: usize| {
@@ -146,6 +166,13 @@ fn good_size(at_least: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn periods_have_small_primes_where_the_grid_stays() {
+        let grid = |n: usize| n.div_ceil(100);
+        assert_eq!([16, 34, 782, 798, 898].map(|n| good_period(n, grid)), [16, 36, 784, 800, 900]);
+        assert_eq!(good_period(22, |n| n), 22);
+    }
 
     #[test]
     fn sizes_are_smooth() {

@@ -3,7 +3,7 @@
 use glam::DVec2;
 use rustfft::num_complex::Complex64;
 
-use super::light::{Course, Segment, Shown, courses, frame_light, light};
+use super::light::{Course, Segment, Shown, Window, courses};
 use super::scene::Scene;
 use crate::display::{Display, Emitter};
 use crate::movement::Gaze;
@@ -67,25 +67,25 @@ impl Projector {
 
     fn layers(&self, shown: &Shown, scene: &Scene, together: bool) -> Source {
         let seconds = 1.0 / self.display.frame_rate_hz;
+        let window = Window { first: scene.first_px, size: scene.size_px };
         let primary = |emitter: &Emitter| {
             let courses = courses(emitter, &self.display, shown.index);
             let photons = emitter.emitted() * self.pupil_share;
             if together {
                 // The order of light does not matter: one layer.
-                let at = |at: [u32; 2]| frame_light(&self.display, emitter, &courses, shown, at) * photons;
+                let light = window.frame_light(&self.display, emitter, &courses, shown);
+                let light = scaled(light, photons);
                 let rest = Segment { share: 1.0, decay: 0.0, sight: [DVec2::ZERO; 2] };
-                return SourcePrimary {
-                    layers: vec![Layer { light: window(scene, at), segments: vec![rest], course: None }],
-                };
+                return SourcePrimary { layers: vec![Layer { light, segments: vec![rest], course: None }] };
             }
             if let Some(scan) = emitter.waveform.scan() {
                 let layers = super::scan::layers(self, (emitter, scan), shown, scene, photons);
                 return SourcePrimary { layers };
             }
             let layer = |course: &Course| {
-                let at = |at: [u32; 2]| light(&self.display, emitter, course.shows, shown, at) * photons;
+                let light = scaled(window.light(&self.display, emitter, course.shows, shown), photons);
                 let segments = course.segments(&self.gaze, shown.index, seconds, scene.tangent_per_px);
-                Layer { light: window(scene, at), segments, course: Some(course.clone()) }
+                Layer { light, segments, course: Some(course.clone()) }
             };
             SourcePrimary { layers: courses.iter().map(layer).filter(Layer::is_lit).collect() }
         };
@@ -115,12 +115,9 @@ impl Layer {
     }
 }
 
-/// A value for every pixel of the window, `[row][column]`.
-fn window(scene: &Scene, value: impl Fn([u32; 2]) -> f64) -> Vec<f64> {
-    let [width, height] = scene.size_px;
-    let [first, top] = scene.first_px;
-    let pixels = (0..height).flat_map(|row| (0..width).map(move |column| [first + column, top + row]));
-    pixels.map(value).collect()
+fn scaled(mut values: Vec<f64>, factor: f64) -> Vec<f64> {
+    values.iter_mut().for_each(|value| *value *= factor);
+    values
 }
 
 /// Transform of a pixel's rectangles, blurred by its spot, at cycles per pixel (y down): 1 at 0.

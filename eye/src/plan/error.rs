@@ -79,6 +79,12 @@ pub fn band_part(experiment: &Experiment) -> f64 {
     BAND * Numerics::new(experiment).band_loss
 }
 
+/// Error of the copies of the picture, after the tail's law.
+pub fn copies_part(experiment: &Experiment, tiles: &[PlannedTile]) -> f64 {
+    let sum: f64 = tiles.iter().map(|t| copies(experiment, &t.scene)).sum();
+    COPIES * sum / tiles.len().max(1) as f64
+}
+
 /// The parts of the estimate.
 pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wavelengths) -> Vec<ErrorPart> {
     let part = |part: &str, relative: f64| ErrorPart { part: part.into(), relative };
@@ -89,7 +95,6 @@ pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wa
     let steps = if wavelengths.nodes_nm.len() > 1 { (wavelengths.step_nm / 10.0).powi(2) } else { 0.0 };
     let grid = if numerics.single { SINGLE } else { 1e-9 } + 0.1_f64.powi(numerics.spread_width as i32);
     let scanned = experiment.display.primaries.iter().any(|p| p.waveform.scan().is_some());
-    let period = tiles.iter().map(|t| copies(experiment, &t.scene)).sum::<f64>() / tiles.len().max(1) as f64;
     let turns = scanned && !matches!(experiment.gaze.movement, Movement::Still);
     vec![
         part("optics quadrature", OPTICS * pupil),
@@ -97,7 +102,7 @@ pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wa
         part("wavelengths left out", wavelengths.outside),
         part("field interpolation", field_part(tiles)),
         part("low-rank kernels", BASIS * numerics.basis_tolerance),
-        part("period", COPIES * period),
+        part("period", copies_part(experiment, tiles)),
         part("band limit", if limited { band_part(experiment) } else { 1e-7 }),
         part("grid", grid),
         part("time segments", if turns { 0.1 * crate::exposure::SCAN_BLUR } else { 0.0 }),

@@ -17,6 +17,8 @@ pub struct Wavelengths {
     pub outside: f64,
     /// Spacing, nm.
     pub step_nm: f64,
+    /// Density of the lens, base 10, the mean over the light that cones catch.
+    pub lens_density: f64,
 }
 
 /// Chooses nodes for the emitters of a display, of which only the `lit` ones count.
@@ -30,6 +32,8 @@ pub fn choose(
     let paths = Paths { cornea: 1.0, lens: 1.0 };
     // Share of the catch of each cone type from each primary, by wavelength; the largest over both decides.
     let mut catches: Vec<(f64, f64)> = Vec::new();
+    // Density of the lens times catch, and catch.
+    let mut density = [0.0; 2];
     // A dark primary has its spectrum still.
     let spectra: Vec<_> = experiment.display.primaries.iter().map(|p| p.spectrum.clone()).collect();
     let dark = photon_shares(&spectra);
@@ -48,6 +52,8 @@ pub fn choose(
         let totals: Vec<f64> = per_kind.iter().map(|c: &Vec<f64>| c.iter().sum()).collect();
         let most = totals.iter().copied().fold(0.0, f64::max);
         for (i, (nm, _)) in photons.iter().enumerate() {
+            let caught: f64 = per_kind.iter().map(|c| c[i]).sum();
+            density = [density[0] + caught * absorbers.media.lens_density(*nm), density[1] + caught];
             let seen = per_kind.iter().zip(&totals).filter(|(_, total)| **total > 1e-4 * most);
             let share = seen.map(|(c, total)| c[i] / total).fold(0.0, f64::max);
             catches.push((*nm, share));
@@ -76,7 +82,8 @@ pub fn choose(
     if !Rule::Wavelengths.applies(experiment) {
         fill(&mut nodes_nm, step_nm);
     }
-    Wavelengths { nodes_nm, outside, step_nm }
+    let lens_density = if density[1] > 0.0 { density[0] / density[1] } else { 0.0 };
+    Wavelengths { nodes_nm, outside, step_nm, lens_density }
 }
 
 /// Adds nodes over the whole visible range where there are none.

@@ -398,7 +398,8 @@ impl Jacobians {
 
     /// Both at a point, by Horner's scheme with its derivative.
     fn at(&self, s: DVec2) -> [f64; 2] {
-        let times = |a: [f64; 4], t: f64, b: [f64; 4]| -> [f64; 4] { std::array::from_fn(|l| a[l] * t + b[l]) };
+        let times =
+            |a: [f64; 4], t: f64, b: [f64; 4]| -> [f64; 4] { std::array::from_fn(|l| a[l] * t + b[l]) };
         let (mut value, mut by_x, mut by_y) = ([0.0; 4], [0.0; 4], [0.0; 4]);
         let mut end = self.coefficients.len();
         // Rows of equal power of x, the highest (the shortest) first.
