@@ -151,7 +151,7 @@ impl Settings {
             tenant_jobs: set.tenant_jobs.unwrap_or(default.tenant_jobs),
             tenant_leases: set.tenant_leases.unwrap_or(default.tenant_leases),
             job_seconds: set.job_seconds.unwrap_or(default.job_seconds),
-            job_bytes: set.job_bytes.unwrap_or(default.job_bytes),
+            job_bytes: set.job_bytes.or_else(most_of_memory).unwrap_or(default.job_bytes),
             job_cones: set.job_cones.unwrap_or(default.job_cones),
             burst_seconds: set.burst_seconds.unwrap_or(default.burst_seconds),
             rate: set.rate.unwrap_or(default.rate),
@@ -216,8 +216,28 @@ fn bytes(text: &str) -> Option<u64> {
     digits.parse::<u64>().ok()?.checked_mul(factor)
 }
 
+/// Four fifths of this machine's or container's memory, bytes, where Linux tells: a job that needs more would be killed again and again.
+fn most_of_memory() -> Option<f64> {
+    let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
+    let machine = kibibytes(&read("/proc/meminfo"), "MemTotal:")? * 1024.0;
+    let container = read("/sys/fs/cgroup/memory.max").trim().parse().unwrap_or(f64::INFINITY);
+    Some(0.8 * machine.min(container))
+}
+
+fn kibibytes(text: &str, name: &str) -> Option<f64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+    line.trim().strip_suffix("kB")?.trim().parse().ok()
+}
+
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn memory_of_the_machine_is_read() {
+        let text = "MemTotal:       24576 kB\nMemFree: 1 kB\n";
+        assert_eq!(super::kibibytes(text, "MemTotal:"), Some(24576.0));
+        assert_eq!(super::kibibytes(text, "SwapTotal:"), None);
+    }
+
     use super::*;
 
     #[test]

@@ -44,7 +44,9 @@ pub fn run(context: &Context, args: &CalibrateArgs) -> Result<(), Failure> {
 /// What the model refuses.
 pub fn measure(say: &mut dyn FnMut(&str)) -> Result<Machine, String> {
     let line = json!([{"name": "white", "spectrum": {"line": {"nm": 543, "fwhm_nm": 0}}}]);
-    let frames = [("frames.count", json!(20)), ("accuracy.audit_cones", json!(4))];
+    // A moving eye: frames that repeat would not be computed again.
+    let drift = json!({"drift": {"speed_arcmin_per_s": 30, "direction_deg": 30}});
+    let frames = [("frames.count", json!(40)), ("accuracy.audit_cones", json!(4)), ("gaze.movement", drift)];
     let scenes = [
         ("white light", with(standard(16, 2), &frames)),
         ("one line", with(with(standard(30, 2), &frames), &[("display.primaries", line)])),

@@ -18,7 +18,7 @@ use super::field::Field;
 use super::lowrank::compress;
 use super::polar::PolarShape;
 use super::spectral::{Absorbers, KINDS, Kind, Paths, Share, paths_at};
-use super::transfer::{FieldPoint, extent, transfer_table};
+use super::transfer::{FieldPoint, Transfer, extent, transfer_table};
 use super::{codec, nodes};
 use crate::cone::pigment::Pigments;
 use crate::display::photon_shares;
@@ -97,6 +97,36 @@ struct Head {
     paths: Vec<Paths>,
 }
 
+/// Transfer tables that are made before they are added up.
+pub const BLOCK: usize = 32;
+
+/// A kernel that is being added up: of one kind, field point and eccentricity.
+struct Place {
+    field: usize,
+    /// `[primary][wavelength]`.
+    weights: Vec<Vec<f64>>,
+    /// `[primary·sample]`.
+    kernel: Vec<Complex64>,
+}
+
+impl Place {
+    /// Adds those of some consecutive transfers (`[field][wavelength]`, the first is number `first`) that are of its field point.
+    fn add(&mut self, first: usize, transfers: &[Transfer], waves: usize) {
+        let own = self.field * waves..(self.field + 1) * waves;
+        let (from, to) = (own.start.max(first), own.end.min(first + transfers.len()));
+        if from >= to {
+            return;
+        }
+        let transfers = &transfers[from - first..to - first];
+        let samples = self.kernel.len() / self.weights.len().max(1);
+        for (kernel, weights) in self.kernel.chunks_exact_mut(samples.max(1)).zip(&self.weights) {
+            for (transfer, weight) in transfers.iter().zip(&weights[from - own.start..]) {
+                kernel.iter_mut().zip(&transfer.table).for_each(|(sum, value)| *sum += *weight * value);
+            }
+        }
+    }
+}
+
 /// Kernels, ready for use.
 #[derive(Clone, Debug)]
 pub struct Kernels {
@@ -173,19 +203,9 @@ impl KernelSpec {
             .map(|point| densities(&field, point, &self.nodes_nm, rho))
             .collect::<Result<Vec<_>, String>>()?
             .concat();
-        let transfers: Vec<_> = jobs
-            .par_iter()
-            .zip(&factors)
-            .map(|((p, w), factor)| transfer_table(p, w, shape).times(*factor))
-            .collect();
         let media = self.absorbers()?.media;
         let paths: Vec<Paths> = jobs.iter().map(|(_, w)| Paths::new(w, &media)).collect();
-        let throughput = transfers.iter().map(|t| t.throughput).sum::<f64>() / transfers.len().max(1) as f64;
-        let kernels = self.kernels_by_place(
-            &transfers.iter().map(|t| t.table.as_slice()).collect::<Vec<_>>(),
-            &paths,
-            shape,
-        )?;
+        let (kernels, throughput) = self.kernels_by_place(&jobs, &factors, &paths, shape)?;
         let weights = self.basis_weights(shape);
         // Arriving photons enter the budget only, where places average out: a coarser basis will do.
         let tolerance = |kind: usize| match KINDS[kind] {
@@ -246,42 +266,51 @@ impl KernelSpec {
         Ok(PolarShape::for_cycles(self.band, cycles, TABLE_TOLERANCE * self.tolerance))
     }
 
-    /// `[kind][place][primary·sample]`.
+    /// `[kind][place][primary·sample]`, and the mean throughput. Transfer tables of `jobs` (`[field][wavelength]`) are made a few at a time
+    /// and added up: all of them would be the most of the memory.
     fn kernels_by_place(
         &self,
-        transfers: &[&[Complex64]],
+        jobs: &[(&FieldPoint, &Wavefront)],
+        factors: &[f64],
         paths: &[Paths],
         shape: PolarShape,
-    ) -> Result<Vec<Vec<Vec<Complex64>>>, String> {
+    ) -> Result<(Vec<Vec<Vec<Complex64>>>, f64), String> {
         let absorbers = self.absorbers()?;
         let kinks_nm = self.prescription.kinks_nm(self.state.dispersion);
+        let nodes = (self.nodes_nm.as_slice(), kinks_nm.as_slice());
         let shares = self.shares();
         let eccentricities = self.ecc_values();
-        let waves = self.nodes_nm.len();
-        let fields = transfers.len() / waves.max(1);
-        let places: Vec<(usize, usize, f64)> = (0..KINDS.len())
-            .flat_map(|kind| (0..fields).flat_map(move |f| [(kind, f)]))
-            .flat_map(|(kind, f)| eccentricities.iter().map(move |&e| (kind, f, e)))
-            .collect();
-        let flat: Vec<Vec<Complex64>> = places
-            .par_iter()
-            .map(|&(kind, f, ecc)| {
-                let mut kernel = Vec::with_capacity(shares.len() * shape.len());
-                for primary in &shares {
-                    let nodes = (self.nodes_nm.as_slice(), kinks_nm.as_slice());
-                    let along = &paths[f * waves..(f + 1) * waves];
-                    let weights = absorbers.smooth_weights(primary, nodes, KINDS[kind], ecc, along);
-                    let mut sum = vec![Complex64::ZERO; shape.len()];
-                    for (weight, table) in weights.iter().zip(&transfers[f * waves..(f + 1) * waves]) {
-                        sum.iter_mut().zip(*table).for_each(|(s, t)| *s += *weight * t);
-                    }
-                    kernel.extend(sum);
-                }
-                kernel
+        let waves = self.nodes_nm.len().max(1);
+        let fields = jobs.len() / waves;
+        let mut places: Vec<Place> = (0..KINDS.len())
+            .flat_map(|kind| (0..fields).map(move |field| (kind, field)))
+            .flat_map(|(kind, field)| eccentricities.iter().map(move |&ecc_deg| (kind, field, ecc_deg)))
+            .collect::<Vec<_>>()
+            .into_par_iter()
+            .map(|(kind, field, ecc_deg)| {
+                let along = &paths[field * waves..(field + 1) * waves];
+                let weights = |primary: &Vec<Share>| {
+                    absorbers.smooth_weights(primary, nodes, KINDS[kind], ecc_deg, along)
+                };
+                let kernel = vec![Complex64::ZERO; shares.len() * shape.len()];
+                Place { field, weights: shares.iter().map(weights).collect(), kernel }
             })
             .collect();
-        let per_kind = fields * eccentricities.len();
-        Ok(flat.chunks(per_kind.max(1)).map(<[Vec<Complex64>]>::to_vec).collect())
+        let mut throughput = 0.0;
+        for (block, (jobs, factors)) in jobs.chunks(BLOCK).zip(factors.chunks(BLOCK)).enumerate() {
+            let transfers: Vec<Transfer> = jobs
+                .par_iter()
+                .zip(factors)
+                .map(|((p, w), factor)| transfer_table(p, w, shape).times(*factor))
+                .collect();
+            throughput += transfers.iter().map(|t| t.throughput).sum::<f64>();
+            places.par_iter_mut().for_each(|place| place.add(block * BLOCK, &transfers, waves));
+        }
+        let per_kind = (fields * eccentricities.len()).max(1);
+        let kernels: Vec<Vec<Complex64>> = places.into_iter().map(|place| place.kernel).collect();
+        let mut kernels = kernels.into_iter();
+        let by_kind = (0..KINDS.len()).map(|_| kernels.by_ref().take(per_kind).collect()).collect();
+        Ok((by_kind, throughput / jobs.len().max(1) as f64))
     }
 
     /// Weights of the samples in the basis: area in the frequency plane times the aperture's transform squared, and the mean.

@@ -39,7 +39,7 @@ use rayon::prelude::*;
 
 pub use audit::AuditSample;
 pub use cones::{ConeColumns, cone_columns};
-pub use kernel::{KernelSpec, Kernels, TABLE_TOLERANCE};
+pub use kernel::{BLOCK as TRANSFER_BLOCK, KernelSpec, Kernels, TABLE_TOLERANCE};
 pub use polar::PolarShape;
 pub use scan::SCAN_BLUR;
 

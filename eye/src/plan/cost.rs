@@ -10,7 +10,7 @@ use super::engine::IMAGES;
 use super::setup::Setup;
 use crate::experiment::Experiment;
 use crate::exposure::spectral::KINDS;
-use crate::exposure::{KernelSpec, PolarShape, TABLE_TOLERANCE};
+use crate::exposure::{KernelSpec, PolarShape, TABLE_TOLERANCE, TRANSFER_BLOCK};
 use crate::retina::{Density, RegionUm, tiles_for};
 
 /// CPU seconds per cone of a mosaic tile, with its halo and cells.
@@ -184,12 +184,12 @@ fn kernel_cost(experiment: &Experiment, kernels: &KernelSpec) -> KernelCost {
     let seconds =
         transfers * (SECONDS_PER_TRANSFER * (1.0 + 0.05 * pupil.powi(6)) + 1e-7 * shape.len() as f64);
     let (primaries, table) = (kernels.primaries.len() as f64, shape.len() as f64 * 16.0);
-    // A table a wavelength and point; then one a kind, place and primary.
+    // Some tables at a time; one a kind, place and primary.
     let places = KINDS.len() as f64 * points * f64::from(kernels.ecc_nodes) * primaries;
     KernelCost {
         seconds,
         bytes: IMAGES * primaries * table,
-        build_bytes: 0.85 * table * (transfers + places),
+        build_bytes: table * (places + transfers.min(TRANSFER_BLOCK as f64)),
     }
 }
 

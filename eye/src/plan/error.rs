@@ -6,6 +6,7 @@ use std::f64::consts::PI;
 
 use glam::DVec2;
 
+use super::lit::sparsity;
 use super::setup::{UM_PER_TANGENT, cutoff};
 use super::wavelengths::Wavelengths;
 use super::{ErrorPart, Knobs, Numerics, PlanError, PlannedTile};
@@ -14,18 +15,21 @@ use crate::exposure::scene::Scene;
 
 /// Energy of a diffraction-limited spread beyond a radius R is about λ/(π² NA R); λ in the vitreous over NA, µm, at 3 mm.
 const TAIL_UM: f64 = 0.62;
-/// Error of fitted wavefronts and of their quadrature, at 3 mm.
-const OPTICS: f64 = 2e-5;
-/// Error of wavelength steps of 10 nm.
-const STEP_10_NM: f64 = 5e-5;
+/// Error of fitted wavefronts and of their quadrature, at 3 mm; it grows with the cube of the pupil.
+const OPTICS: f64 = 2e-6;
+/// Error of wavelength steps of 10 nm; it gains the fourth power of the step.
+const STEP_10_NM: f64 = 2e-5;
 /// Error of a field of one node a degree.
 const FIELD: f64 = 1.5e-3;
 /// Part of the copies' light that is left in the means after the tail's law is subtracted.
-const COPIES: f64 = 0.1;
-/// How much means move per tolerance of the low-rank basis; up to 3 on one lit pixel.
-const BASIS: f64 = 1.0;
-/// How much means move per loss above the band.
-const BAND: f64 = 1.0;
+const COPIES: f64 = 0.05;
+/// How much means of an evenly lit picture move per tolerance of the low-rank basis (0.2 to 2: ranks are whole numbers) and per loss above the
+/// band.
+const BASIS: f64 = 0.5;
+const BAND: f64 = 0.3;
+/// How much more they move per sparsity of the picture above 1, and at most: tolerances are of the energy, errors of the light.
+const SPARSE: f64 = 0.1;
+const MOST_SPARSE: f64 = 2.5;
 /// Points of a window and of a patch along a side in the sum over copies.
 const GRID: u32 = 8;
 const PLACES: u32 = 3;
@@ -76,7 +80,11 @@ pub fn field_part(tiles: &[PlannedTile]) -> f64 {
 
 /// Error of the frequencies that are left out.
 pub fn band_part(experiment: &Experiment) -> f64 {
-    BAND * Numerics::new(experiment).band_loss
+    BAND * sparse(experiment) * Numerics::new(experiment).band_loss
+}
+
+fn sparse(experiment: &Experiment) -> f64 {
+    (1.0 + SPARSE * (sparsity(experiment) - 1.0)).clamp(1.0, MOST_SPARSE)
 }
 
 /// Error of the copies of the picture, after the tail's law.
@@ -92,16 +100,16 @@ pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wa
     let limited = tiles.iter().any(|t| t.scene.band < cutoff(experiment));
     let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0);
     // A line needs no steps.
-    let steps = if wavelengths.nodes_nm.len() > 1 { (wavelengths.step_nm / 10.0).powi(2) } else { 0.0 };
+    let steps = if wavelengths.nodes_nm.len() > 1 { (wavelengths.step_nm / 10.0).powi(4) } else { 0.0 };
     let grid = if numerics.single { SINGLE } else { 1e-9 } + 0.1_f64.powi(numerics.spread_width as i32);
     let scanned = experiment.display.primaries.iter().any(|p| p.waveform.scan().is_some());
     let turns = scanned && !matches!(experiment.gaze.movement, Movement::Still);
     vec![
-        part("optics quadrature", OPTICS * pupil),
+        part("optics quadrature", OPTICS * pupil.powi(3)),
         part("wavelength steps", STEP_10_NM * steps * pupil),
         part("wavelengths left out", wavelengths.outside),
         part("field interpolation", field_part(tiles)),
-        part("low-rank kernels", BASIS * numerics.basis_tolerance),
+        part("low-rank kernels", BASIS * sparse(experiment) * numerics.basis_tolerance),
         part("period", copies_part(experiment, tiles)),
         part("band limit", if limited { band_part(experiment) } else { 1e-7 }),
         part("grid", grid),

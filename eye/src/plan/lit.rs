@@ -1,4 +1,5 @@
-//! Which primaries a video lights at all. Known before anything is computed for drawn patterns; an uploaded clip may light them all.
+//! What is known of a video before anything is computed: which primaries it lights at all, and how much of the screen. Of drawn patterns; an
+//! uploaded clip may light all primaries and is taken as evenly lit.
 
 use super::Rule;
 use crate::display::{Channel, Place};
@@ -37,6 +38,19 @@ pub fn primaries(experiment: &Experiment) -> Vec<bool> {
     };
     let lit: Vec<bool> = display.primaries.iter().map(|p| lights(p.channel)).collect();
     if lit.contains(&true) { lit } else { all }
+}
+
+/// Root mean square over mean of the picture's light: 1 of an even picture, the root of the number of pixels of a single lit one.
+pub fn sparsity(experiment: &Experiment) -> f64 {
+    let display = &experiment.display;
+    let Video::Pattern(pattern) = &experiment.video else { return 1.0 };
+    if u64::from(display.width_px) * u64::from(display.height_px) > MOST_PIXELS {
+        return 1.0;
+    }
+    let picture = draw(pattern, display, &experiment.gaze);
+    let light = picture.rgb.iter().map(|v| display.transfer.light(f64::from(*v).clamp(0.0, 1.0)));
+    let (sum, squares) = light.fold((0.0, 0.0), |(sum, squares), l| (sum + l, squares + l * l));
+    if sum > 0.0 { (squares * picture.rgb.len() as f64).sqrt() / sum } else { 1.0 }
 }
 
 /// The spectra for which kernels are made: an unlit primary, whose kernel is multiplied by nothing, has that of the first lit one.

@@ -93,10 +93,8 @@ impl Numerics {
         Self {
             wavelength_step_nm: experiment.counts.wavelength_step_nm.unwrap_or(if usual {
                 10.0
-            } else if fine {
-                5.0
             } else {
-                2.5
+                5.0
             }),
             wavelength_tail: WAVELENGTH_TAIL * target,
             basis_tolerance: knobs.basis_tolerance.unwrap_or(BASIS_SHARE * target),
@@ -120,7 +118,7 @@ impl Numerics {
                 |w| w as usize,
             ),
             oversampling: knobs.oversampling.unwrap_or(if usual { 1.12 } else { 1.25 }),
-            finer_field: u32::from(!coarse) + u32::from(!usual),
+            finer_field: u32::from(!coarse) + u32::from(!usual) + u32::from(!fine),
             ecc_nodes: knobs.ecc_nodes.unwrap_or(if usual { 3 } else { 4 }),
             blind_below: if Rule::BlindTypes.applies(experiment) { BLIND * target } else { 0.0 },
             single: !knobs.double_precision.unwrap_or(!usual),
