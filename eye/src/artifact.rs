@@ -91,8 +91,10 @@ impl ArtifactSpec {
     /// Rises whenever the same inputs give other bytes.
     fn version(&self) -> u32 {
         match self {
-            Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 2,
-            Self::Wavefronts(_) => 2,
+            Self::RetinaTile { .. }
+            | Self::Cones { .. }
+            | Self::MeasuredCones { .. }
+            | Self::Wavefronts(_) => 2,
             Self::Kernels(_) => 8,
         }
     }

@@ -97,6 +97,9 @@ struct Head {
     paths: Vec<Paths>,
 }
 
+/// Kernels of one kind, `[place][primary·sample]`.
+type PlaceKernels = Vec<Vec<Complex64>>;
+
 /// Transfer tables that are made before they are added up.
 pub const BLOCK: usize = 32;
 
@@ -266,7 +269,7 @@ impl KernelSpec {
         Ok(PolarShape::for_cycles(self.band, cycles, TABLE_TOLERANCE * self.tolerance))
     }
 
-    /// `[kind][place][primary·sample]`, and the mean throughput. Transfer tables of `jobs` (`[field][wavelength]`) are made a few at a time
+    /// By kind, and the mean throughput. Transfer tables of `jobs` (`[field][wavelength]`) are made a few at a time
     /// and added up: all of them would be the most of the memory.
     fn kernels_by_place(
         &self,
@@ -274,7 +277,7 @@ impl KernelSpec {
         factors: &[f64],
         paths: &[Paths],
         shape: PolarShape,
-    ) -> Result<(Vec<Vec<Vec<Complex64>>>, f64), String> {
+    ) -> Result<(Vec<PlaceKernels>, f64), String> {
         let absorbers = self.absorbers()?;
         let kinks_nm = self.prescription.kinks_nm(self.state.dispersion);
         let nodes = (self.nodes_nm.as_slice(), kinks_nm.as_slice());

@@ -262,7 +262,9 @@ impl Window {
         };
         self.rows(|at, line| {
             light_row(display, emitter, Shows::Now, shown, at, line);
-            line.iter_mut().for_each(|value| *value *= share);
+            for value in line {
+                *value *= share;
+            }
         })
     }
 }

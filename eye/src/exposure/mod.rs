@@ -105,10 +105,52 @@ pub enum ExposureError {
     PictureSize(u32, u32, u32, u32),
 }
 
-enum Counter {
-    Expected(Box<Expected>),
-    Events(Box<Events>),
-    Paper(Box<Paper>),
+/// An engine: how the photons of a prepared scene are counted.
+trait Counter: Send + Sync {
+    /// Counts one frame.
+    fn frame(&self, exposure: &Exposure, shown: &Shown) -> Result<Frame, ExposureError>;
+
+    /// The means by cone, light only, that the counts of a frame are drawn from; `None` where they are not known.
+    fn means(&self, exposure: &Exposure, shown: &Shown) -> Option<Vec<f64>>;
+}
+
+impl Counter for Expected {
+    fn frame(&self, exposure: &Exposure, shown: &Shown) -> Result<Frame, ExposureError> {
+        let source = exposure.projector.frame(shown, &exposure.scene);
+        let means = exposure.means(self, shown, &source);
+        Ok(exposure.expected_frame((shown, Some(&source)), &means))
+    }
+
+    fn means(&self, exposure: &Exposure, shown: &Shown) -> Option<Vec<f64>> {
+        let source = exposure.projector.frame(shown, &exposure.scene);
+        Some(exposure.means(self, shown, &source).isomerized)
+    }
+}
+
+impl Counter for Events {
+    fn frame(&self, exposure: &Exposure, shown: &Shown) -> Result<Frame, ExposureError> {
+        let drawn = Self::frame(self, shown, &exposure.projector).map_err(ExposureError::Model)?;
+        let (ledger, cones) = (&exposure.ledger, &exposure.cones);
+        let budget = ledger.budget(&exposure.projector, (shown, None), cones, &drawn.means);
+        let diagnostics = vec![("photons drawn".to_owned(), drawn.photons)];
+        let frame = exposure.drawn_frame(shown.index, drawn.counts, budget);
+        Ok(Frame { diagnostics, photons: drawn.list, ..frame })
+    }
+
+    fn means(&self, _: &Exposure, _: &Shown) -> Option<Vec<f64>> {
+        None
+    }
+}
+
+impl Counter for Paper {
+    fn frame(&self, exposure: &Exposure, shown: &Shown) -> Result<Frame, ExposureError> {
+        let (counts, fates) = Self::frame(self, shown, &exposure.projector);
+        Ok(exposure.drawn_frame(shown.index, counts, fates))
+    }
+
+    fn means(&self, _: &Exposure, _: &Shown) -> Option<Vec<f64>> {
+        None
+    }
 }
 
 /// A scene that is ready to be counted, frame by frame.
@@ -122,7 +164,7 @@ pub struct Exposure {
     /// Number of the result tile, of how many.
     tile: [u32; 2],
     ledger: Ledger,
-    counter: Counter,
+    counter: Box<dyn Counter>,
     tail: Option<tail::Tail>,
     veil: Option<stray::Veil>,
     pattern: Option<Picture>,
@@ -141,19 +183,14 @@ impl Exposure {
         let model = ExposureError::Model;
         let cones = ConeTable::new(&inputs, experiment.display.emission_law).map_err(model)?;
         let ledger = Ledger::new(&inputs, experiment.gaze.center_px).map_err(model)?;
-        let counter = match experiment.counts.engine {
-            Engine::Expected => {
-                let numerics = Numerics::new(experiment);
-                Counter::Expected(Box::new(Expected::new(&inputs, &cones, &numerics)))
-            }
-            Engine::Events => {
-                Counter::Events(Box::new(Events::new(experiment, &inputs, &cones).map_err(model)?))
-            }
-            Engine::Paper => Counter::Paper(Box::new(Paper::new(experiment, &inputs).map_err(model)?)),
+        let engine = experiment.counts.engine;
+        let counter: Box<dyn Counter> = match engine {
+            Engine::Expected => Box::new(Expected::new(&inputs, &cones, &Numerics::new(experiment))),
+            Engine::Events => Box::new(Events::new(experiment, &inputs, &cones).map_err(model)?),
+            Engine::Paper => Box::new(Paper::new(experiment, &inputs).map_err(model)?),
         };
         let veil = experiment.eye.stray_light.map(|light| stray::Veil::new(&inputs, &cones, light));
-        let tail =
-            matches!(counter, Counter::Expected(_)).then(|| tail::Tail::new(&inputs, &cones)).flatten();
+        let tail = (engine == Engine::Expected).then(|| tail::Tail::new(&inputs, &cones)).flatten();
         let Inputs { retina, projection, projector, scene, tile, .. } = inputs;
         let pattern = match &experiment.video {
             Video::Pattern(pattern) => Some(draw(pattern, &projector.display, &experiment.gaze)),
@@ -221,24 +258,7 @@ impl Exposure {
         earlier: &[&Picture],
     ) -> Result<Frame, ExposureError> {
         let shown = self.shown(index, picture, earlier)?;
-        match &self.counter {
-            Counter::Expected(expected) => {
-                let source = self.projector.frame(&shown, &self.scene);
-                let means = self.means(expected, &shown, &source);
-                Ok(self.expected_frame((&shown, Some(&source)), &means))
-            }
-            Counter::Events(events) => {
-                let drawn = events.frame(&shown, &self.projector).map_err(ExposureError::Model)?;
-                let budget = self.ledger.budget(&self.projector, (&shown, None), &self.cones, &drawn.means);
-                let diagnostics = vec![("photons drawn".to_owned(), drawn.photons)];
-                let frame = self.drawn_frame(index, drawn.counts, budget);
-                Ok(Frame { diagnostics, photons: drawn.list, ..frame })
-            }
-            Counter::Paper(paper) => {
-                let (counts, fates) = paper.frame(&shown, &self.projector);
-                Ok(self.drawn_frame(index, counts, fates))
-            }
-        }
+        self.counter.frame(self, &shown)
     }
 
     /// What is shown, every picture of the display's size.
@@ -319,13 +339,13 @@ impl Exposure {
             tile: self.tile,
         };
         let shown = self.shown(index, picture, earlier)?;
-        let values = match (&self.counter, &frame.counts) {
+        let values = match (self.counter.means(self, &shown), &frame.counts) {
             // Means, not the numbers drawn from them.
-            (Counter::Expected(expected), _) => {
-                self.means(expected, &shown, &self.projector.frame(&shown, &self.scene)).isomerized
+            (Some(means), _) => means,
+            (None, FrameCounts::Counts(counts)) => {
+                counts.iter().map(|c| f64::from(*c) - self.dark()).collect()
             }
-            (_, FrameCounts::Counts(counts)) => counts.iter().map(|c| f64::from(*c) - self.dark()).collect(),
-            (_, FrameCounts::Means(means)) => means.iter().map(|m| f64::from(*m) - self.dark()).collect(),
+            (None, FrameCounts::Means(means)) => means.iter().map(|m| f64::from(*m) - self.dark()).collect(),
         };
         audited.run(&shown, &values).map_err(ExposureError::Model)
     }

@@ -116,7 +116,9 @@ impl Layer {
 }
 
 fn scaled(mut values: Vec<f64>, factor: f64) -> Vec<f64> {
-    values.iter_mut().for_each(|value| *value *= factor);
+    for value in &mut values {
+        *value *= factor;
+    }
     values
 }
 

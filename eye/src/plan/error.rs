@@ -78,9 +78,9 @@ pub fn field_part(tiles: &[PlannedTile]) -> f64 {
     tiles.iter().map(field).fold(0.0, f64::max)
 }
 
-/// Error of the frequencies that are left out.
-pub fn band_part(experiment: &Experiment) -> f64 {
-    BAND * sparse(experiment) * Numerics::new(experiment).band_loss
+/// What the frequencies that are left out may change at most; on an evenly lit picture it is a part of it.
+pub fn band_bound(experiment: &Experiment) -> f64 {
+    sparse(experiment) * Numerics::new(experiment).band_loss
 }
 
 fn sparse(experiment: &Experiment) -> f64 {
@@ -111,7 +111,7 @@ pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wa
         part("field interpolation", field_part(tiles)),
         part("low-rank kernels", BASIS * sparse(experiment) * numerics.basis_tolerance),
         part("period", copies_part(experiment, tiles)),
-        part("band limit", if limited { band_part(experiment) } else { 1e-7 }),
+        part("band limit", if limited { BAND * band_bound(experiment) } else { 1e-7 }),
         part("grid", grid),
         part("time segments", if turns { 0.1 * crate::exposure::SCAN_BLUR } else { 0.0 }),
         part("Poisson draws", 0.0),

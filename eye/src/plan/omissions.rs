@@ -110,7 +110,7 @@ fn coarse_grids(look: &Look) -> Option<Omission> {
     let kept = band * std::f64::consts::PI / 180.0;
     let why = format!("frequencies up to {kept:.0} cycles per degree are kept, fewer where cones are wide");
     let what = "spatial frequencies that blur and apertures average away";
-    (band < cutoff(look.experiment)).then(|| omission(what, &why, error::band_part(look.experiment)))
+    (band < cutoff(look.experiment)).then(|| omission(what, &why, error::band_bound(look.experiment)))
 }
 
 fn motion(look: &Look) -> Option<Omission> {

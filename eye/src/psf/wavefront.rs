@@ -266,7 +266,7 @@ impl Wavefront {
     /// x_um and y_um.
     pub fn centroid_um(&self) -> DVec2 {
         let [by_x, by_y] = self.opd_um.gradient();
-        let [x, y, energy] = self.over_pupil(32, |s| {
+        let [x, y, energy] = self.over_pupil(20, |s| {
             let e = self.amplitude.at(s).powi(2);
             [e * by_x.at(s), e * by_y.at(s), e]
         });
