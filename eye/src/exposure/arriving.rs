@@ -8,51 +8,68 @@
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 
-use super::expected::BasisImage;
+use super::expected::BasisKernel;
 use super::gather::Stencils;
-use super::grid::{Band, Planar, Real, picture_spectrum};
+use super::grid::{Band, Planar, Real};
+use super::picture_spectrum::PictureSpectrum;
 
-/// `[primary][frequency]`: weights by which what the display sends adds to a sum over cones.
+/// Sums that are kept side by side, in a fixed order.
+const LANES: usize = 8;
+
+/// `[primary][frequency]`: conjugates of the weights by which what the display sends adds to a sum over cones.
 #[derive(Clone, Debug)]
-pub struct ConeSum(Vec<Vec<Complex64>>);
+pub struct ConeSum(Vec<Planar<f32>>);
 
 impl ConeSum {
-    /// The sum over cones with `weights[cone]`, given each cone's `coefficients[cone][r]` of the basis `images`.
+    /// The sum over cones with `weights[cone]`, given each cone's `coefficients[cone][r]` of the `basis`.
     pub fn new(
-        images: &[BasisImage],
+        basis: &[BasisKernel],
         coefficients: &[Vec<f64>],
         weights: &[f64],
         stencils: &Stencils,
         band: &Band,
         samples: [usize; 2],
     ) -> Self {
-        let spectra: Vec<Vec<Complex64>> = (0..images.len())
+        let spectrum = PictureSpectrum::new(samples, samples, band, false);
+        let spectra: Vec<Vec<Complex64>> = (0..basis.len())
             .into_par_iter()
             .map(|r| {
                 let mut grid = vec![0.0; samples[0] * samples[1]];
                 for (cone, (own, weight)) in coefficients.iter().zip(weights).enumerate() {
                     stencils.add(cone, own[r] * weight, &mut grid, samples);
                 }
-                picture_spectrum(&grid, samples, samples, band)
+                let grid: Vec<f32> = grid.into_iter().map(|weight| weight as f32).collect();
+                spectrum.of(&grid, band)
             })
             .collect();
-        let primaries = images.first().map_or(0, |image| image.kernels.len());
+        let primaries = basis.first().map_or(0, Vec::len);
         let by_primary = (0..primaries).map(|primary| {
             let at = |(i, nu): (usize, [i32; 2])| {
                 let twice = if nu == [0, 0] { 1.0 } else { 2.0 };
-                let kernel = |r: usize| images[r].kernels[primary].at(i);
-                twice * (0..images.len()).map(|r| kernel(r) * spectra[r][i].conj()).sum::<Complex64>()
+                let kernel = |r: usize| basis[r][primary].at(i);
+                twice * (0..basis.len()).map(|r| kernel(r).conj() * spectra[r][i]).sum::<Complex64>()
             };
-            band.iter().enumerate().map(at).collect()
+            Planar::new(band.iter().enumerate().map(at))
         });
         Self(by_primary.collect())
     }
 
     /// The sum in a frame of which `drive[primary][frequency]` is sent.
     pub fn of<T: Real>(&self, drive: &[Planar<T>]) -> f64 {
-        let part = |(weights, sent): (&Vec<Complex64>, &Planar<T>)| {
-            weights.iter().enumerate().map(|(i, w)| (w * sent.at(i)).re).sum::<f64>()
+        let part = |(weights, sent): (&Planar<f32>, &Planar<T>)| {
+            dot(&weights.re, &sent.re) + dot(&weights.im, &sent.im)
         };
         self.0.iter().zip(drive).map(part).sum()
     }
+}
+
+/// Sum of products.
+fn dot<T: Real>(weights: &[f32], values: &[T]) -> f64 {
+    let mut sums = [0.0; LANES];
+    for (weights, values) in weights.chunks(LANES).zip(values.chunks(LANES)) {
+        for ((sum, weight), value) in sums.iter_mut().zip(weights).zip(values) {
+            *sum += f64::from(*weight) * value.wide();
+        }
+    }
+    sums.iter().sum()
 }

@@ -15,6 +15,8 @@ use crate::display::Emitter;
 use crate::media::MACULA_EDGE_DEG;
 use crate::report::PhotonBudget;
 
+/// Sums that are kept side by side, in a fixed order.
+const LANES: usize = 8;
 /// Steps of eccentricity in the table of the macula.
 const STEPS: usize = 100;
 
@@ -44,8 +46,8 @@ pub struct Ledger {
     shares: Vec<Shares>,
     /// Share of the light that cones aimed at the pupil's centre accept.
     throughput: f64,
-    /// Slant factor and eccentricity (degrees) by pixel of the display, row-major.
-    pixels: Vec<(f64, f64)>,
+    /// Slant factor by pixel of the display, row-major.
+    slant: Vec<f32>,
     /// `[primary][pixel]`: share of what meets the pupil at the gaze centre that the macula absorbs.
     macula: Vec<Vec<f32>>,
 }
@@ -102,13 +104,14 @@ impl Ledger {
             pixels.iter().map(absorbed).collect()
         };
         let macula = shares.iter().map(of_primary).collect();
-        Ok(Self { shares, throughput: kernels.throughput(), pixels, macula })
+        let slant = pixels.iter().map(|(slant, _)| *slant as f32).collect();
+        Ok(Self { shares, throughput: kernels.throughput(), slant, macula })
     }
 
     /// Whether a primary's layers hold the light of every pixel of the display.
     fn is_whole(&self, source: &Source, primary: usize) -> bool {
         let layers = &source.primaries[primary].layers;
-        source.covers_display && layers.iter().all(|layer| layer.light.len() == self.pixels.len())
+        source.covers_display && layers.iter().all(|layer| layer.light.len() == self.slant.len())
     }
 
     /// Sums over pixels of a primary's layers.
@@ -116,17 +119,10 @@ impl Ledger {
         let mut sums = Sent::default();
         for layer in &source.primaries[primary].layers {
             let share: f64 = layer.segments.iter().map(|s| s.share).sum();
-            let mut of_layer = Sent::default();
-            for ((light, (slant, _)), macula) in
-                layer.light.iter().zip(&self.pixels).zip(&self.macula[primary])
-            {
-                of_layer.emitted += light;
-                of_layer.entered += light * slant;
-                of_layer.macula += light * f64::from(*macula);
-            }
-            sums.emitted += of_layer.emitted * share / pupil_share;
-            sums.entered += of_layer.entered * share;
-            sums.macula += of_layer.macula * share;
+            let [emitted, entered, macula] = self.over_pixels(&layer.light, primary);
+            sums.emitted += emitted * share / pupil_share;
+            sums.entered += entered * share;
+            sums.macula += macula * share;
         }
         sums
     }
@@ -135,20 +131,28 @@ impl Ledger {
     fn sent(&self, projector: &Projector, emitter: &Emitter, primary: usize, shown: &Shown) -> Sent {
         let display = &projector.display;
         let courses = courses(emitter, display, shown.index);
-        let mut sums = Sent::default();
-        let window = match self.pixels.len() {
-            0 => [0; 2],
-            _ => [display.width_px, display.height_px],
-        };
-        let window = Window { first: [0; 2], size: window };
-        let light = window.frame_light(display, emitter, &courses, shown);
-        for ((light, (slant, _)), macula) in light.iter().zip(&self.pixels).zip(&self.macula[primary]) {
-            let emitted = emitter.emitted() * light;
-            sums.emitted += emitted;
-            sums.entered += emitted * projector.pupil_share * slant;
-            sums.macula += emitted * projector.pupil_share * f64::from(*macula);
+        let size = if self.slant.is_empty() { [0; 2] } else { [display.width_px, display.height_px] };
+        let window = Window { first: [0; 2], size };
+        let light = window.frame_light(display, emitter, &courses, shown, emitter.emitted());
+        let [emitted, entered, macula] = self.over_pixels(&light, primary);
+        let pupil_share = projector.pupil_share;
+        Sent { emitted, entered: entered * pupil_share, macula: macula * pupil_share }
+    }
+
+    /// Sums over pixels of their light alone, with the slant and with the slant and what the macula absorbs of a primary.
+    fn over_pixels(&self, light: &[f32], primary: usize) -> [f64; 3] {
+        let mut sums = [[0.0; LANES]; 3];
+        let lines = |values| <[f32]>::chunks(values, LANES);
+        for ((light, slant), macula) in lines(light).zip(lines(&self.slant)).zip(lines(&self.macula[primary]))
+        {
+            for (lane, ((light, slant), macula)) in light.iter().zip(slant).zip(macula).enumerate() {
+                let [light, slant, macula] = [*light, *slant, *macula].map(f64::from);
+                sums[0][lane] += light;
+                sums[1][lane] += light * slant;
+                sums[2][lane] += light * macula;
+            }
         }
-        sums
+        sums.map(|lanes| lanes.iter().sum())
     }
 
     /// The budget of one frame; where its light is at hand as a `source` it need not be made again.

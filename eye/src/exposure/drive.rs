@@ -8,19 +8,20 @@ use std::f64::consts::{PI, TAU};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 
-use super::grid::{Band, Planar, Real, Run, picture_spectrum};
+use super::grid::{Band, Planar, Real, Run};
 use super::light::Segment;
+use super::picture_spectrum::PictureSpectrum;
 use super::scene::Scene;
 use super::source::{Layer, Source};
 
-/// `[primary][frequency]`: what the display sends; `pixels[primary][frequency]` is the transform of a pixel.
+/// `[primary][frequency]`: what the display sends; `pixels[primary][frequency]` is the transform of a pixel, `pictures` makes those of
+/// their light.
 pub fn drive<T: Real>(
     source: &Source,
     pixels: &[Vec<Complex64>],
-    scene: &Scene,
-    band: &Band,
+    pictures: &PictureSpectrum,
+    (scene, band): (&Scene, &Band),
 ) -> Vec<Planar<T>> {
-    let size = scene.size_px.map(|s| s as usize);
     // Primaries that shine at the same time share their movement.
     let mut moved: Vec<(&[Segment], Vec<Complex64>)> = Vec::new();
     for layer in source.primaries.iter().flat_map(|p| &p.layers) {
@@ -29,7 +30,7 @@ pub fn drive<T: Real>(
         }
     }
     let add = |layer: &Layer, pixel: &[Complex64], sent: &mut Planar<T>| {
-        let light = picture_spectrum::<T>(&layer.light, size, scene.period_px, band);
+        let light = pictures.of::<T>(&layer.light, band);
         let movement = moved.iter().find(|(segments, _)| *segments == layer.segments);
         for (i, light) in light.into_iter().enumerate() {
             let factor = movement.map_or(pixel[i], |(_, movement)| pixel[i] * movement[i]);

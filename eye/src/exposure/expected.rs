@@ -7,8 +7,8 @@
 //! integrals over its aperture ([`super::spread`], [`super::gather`]) with its own coefficients.
 //!
 //! # Cost
-//! Per frame one small transform per primary, half an inverse transform of the grid per basis image and a sparse gather per cone;
-//! independent of luminance.
+//! Per frame one small transform per primary, half an inverse transform of the grid per basis image (those of the rows that cones lie in)
+//! and a sparse gather per cone; independent of luminance.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -18,18 +18,17 @@ use super::arriving::ConeSum;
 use super::cones::{ConeTable, MappedCone};
 use super::drive::drive;
 use super::gather::{LANES, Sheet, Stencils};
-use super::grid::{Band, Planar, Real, Transforms, two_images};
+use super::grid::{Band, Planar, Real};
+use super::images::{Transforms, two_images};
 use super::inputs::Inputs;
 use super::kernel::Kernels;
+use super::picture_spectrum::PictureSpectrum;
 use super::scene::Scene;
 use super::source::{Source, pixel_transform};
-use super::spectral::KINDS;
+pub use super::spectral::ARRIVING;
 use super::spread::Spread;
 use crate::display::Emitter;
 use crate::plan::Numerics;
-
-/// Index of the kind that counts arriving photons.
-pub const ARRIVING: usize = KINDS.len() - 1;
 
 /// Means of one frame.
 #[derive(Clone, Debug)]
@@ -44,12 +43,8 @@ pub struct Means {
     pub clamped: u64,
 }
 
-/// One basis image.
-pub struct BasisImage {
-    kind: usize,
-    /// `[primary][frequency]`.
-    pub kernels: Vec<Planar<f32>>,
-}
+/// A basis kernel at the kept frequencies, by primary.
+pub type BasisKernel = Vec<Planar<f32>>;
 
 /// A prepared scene.
 pub struct Expected {
@@ -57,24 +52,16 @@ pub struct Expected {
     band: Band,
     /// `[primary][frequency]`: transform of the pixel's rectangles over P_x P_y φ̂_x φ̂_y.
     pixels: Vec<Vec<Complex64>>,
+    pictures: PictureSpectrum,
     /// Whether images are transformed in single precision.
     single: bool,
-    /// Images of isomerizations, those of a kind together.
-    images: Vec<BasisImage>,
+    /// Of isomerizations.
+    basis: Vec<BasisKernel>,
     stencils: Stencils,
-    cones: Vec<OwnImages>,
-    /// Coefficients of the cones' images, `[cone][sheet][lane]`, with the cone's own factor in them; 0 for images of other kinds.
+    /// Coefficients of the cones' images, `[cone][sheet][lane]`, with the cone's own factor in them; 0 for a type that is not computed.
     coefficients: Vec<[f64; LANES]>,
     arrived: ConeSum,
     guided: ConeSum,
-}
-
-/// Which sheets hold the images of a cone's kind, and where its coefficients begin.
-#[derive(Clone, Copy)]
-struct OwnImages {
-    first: u32,
-    end: u32,
-    offset: u32,
 }
 
 impl Expected {
@@ -85,9 +72,11 @@ impl Expected {
         let spread = Spread::new(settings.spread_width, 1.6);
         let band = Band::new(scene.period_px, scene.samples, scene.band * scene.tangent_per_px);
         let pixels = pixel_transforms(&scene, &spread, &band, &projector.emitters);
+        let size = scene.size_px.map(|s| s as usize);
+        let pictures = PictureSpectrum::new(size, scene.period_px, &band, settings.single);
         let seeing = seeing(kernels, cones, settings.blind_below);
-        let mut images = basis_images(&scene, kernels, &band, seeing);
-        let arriving = images.split_off(images.iter().take_while(|image| image.kind != ARRIVING).count());
+        let basis = basis_kernels(&scene, kernels, &band, 0);
+        let arriving = basis_kernels(&scene, kernels, &band, ARRIVING);
         let stencils = Stencils::new(&scene, &spread, cones);
         let received: Vec<Vec<f64>> = (cones.cones.par_iter())
             .map(|c| {
@@ -103,14 +92,14 @@ impl Expected {
             ConeSum::new(&arriving, &received, &weights, &stencils, &band, scene.samples)
         };
         let (arrived, guided) = (sum(&|_| 1.0), sum(&|c| c.pointing));
-        let (cones, coefficients) = own_images(kernels, &images, cones);
+        let coefficients = coefficients(kernels, seeing, cones);
         Self {
             scene,
             pixels,
+            pictures,
             single: settings.single,
-            images,
+            basis,
             stencils,
-            cones,
             coefficients,
             arrived,
             guided,
@@ -124,18 +113,18 @@ impl Expected {
     }
 
     fn frame_in<T: Real>(&self, source: &Source) -> Means {
-        let drive: Vec<Planar<T>> = drive(source, &self.pixels, &self.scene, &self.band);
+        let drive: Vec<Planar<T>> = drive(source, &self.pixels, &self.pictures, (&self.scene, &self.band));
         let transforms = Transforms::new(self.scene.samples);
-        let pair = |images: &[BasisImage]| {
-            let last = images.len() - 1;
-            two_images(&self.band, [&images[0].kernels, &images[last].kernels], &drive, &transforms)
+        let pair = |kernels: &[BasisKernel]| {
+            let second = kernels.get(1).map_or(&[][..], Vec::as_slice);
+            two_images(&self.band, [&kernels[0], second], &drive, &transforms, self.stencils.rows())
         };
         let sheets: Vec<Sheet> = self
-            .images
+            .basis
             .par_chunks(LANES)
-            .map(|images| {
-                let pairs: Vec<_> = images.chunks(2).map(pair).collect();
-                self.stencils.sheet(&pairs, &transforms)
+            .map(|kernels| {
+                let pairs: Vec<_> = kernels.chunks(2).map(pair).collect();
+                self.stencils.sheet(pairs, &transforms)
             })
             .collect();
         let (arrived, guided) = (self.arrived.of(&drive), self.guided.of(&drive));
@@ -143,19 +132,17 @@ impl Expected {
     }
 
     fn gather(&self, sheets: &[Sheet], arrived: f64, guided: f64) -> Means {
-        let values: Vec<f64> = (0..self.cones.len())
-            .into_par_iter()
+        let values: Vec<f64> = self
+            .coefficients
+            .par_chunks(sheets.len())
+            .enumerate()
             .with_min_len(256)
-            .map(|cone| {
-                let own = self.cones[cone];
-                let coefficients = &self.coefficients[own.offset as usize..];
-                let parts = sheets[own.first as usize..own.end as usize].iter().zip(coefficients).map(
-                    |(sheet, coefficients)| {
-                        let integrals = self.stencils.integrals(cone, sheet);
-                        integrals.iter().zip(coefficients).map(|(i, c)| f64::from(*i) * c).sum::<f64>()
-                    },
-                );
-                parts.sum()
+            .map(|(cone, coefficients)| {
+                let part = |(sheet, coefficients): (&Sheet, &[f64; LANES])| {
+                    let integrals = self.stencils.integrals(cone, sheet);
+                    integrals.iter().zip(coefficients).map(|(i, c)| f64::from(*i) * c).sum::<f64>()
+                };
+                sheets.iter().zip(coefficients).map(part).sum()
             })
             .collect();
         let clamped = values.iter().filter(|v| **v < 0.0).count() as u64;
@@ -163,37 +150,20 @@ impl Expected {
     }
 }
 
-/// The sheets of each cone and its coefficients in them.
-fn own_images(
-    kernels: &Kernels,
-    images: &[BasisImage],
-    cones: &ConeTable,
-) -> (Vec<OwnImages>, Vec<[f64; LANES]>) {
-    let of_kind = |kind: usize| {
-        let first = images.iter().take_while(|image| image.kind != kind).count();
-        (first, first + images.iter().filter(|image| image.kind == kind).count())
-    };
-    let ranges: Vec<(usize, usize)> = (0..ARRIVING).map(of_kind).collect();
-    let of_cone = |cone: &MappedCone| {
+/// Coefficients of the cones' images, `[cone][sheet][lane]`.
+fn coefficients(kernels: &Kernels, seeing: [bool; ARRIVING], cones: &ConeTable) -> Vec<[f64; LANES]> {
+    let sheets = kernels.rank(0).div_ceil(LANES);
+    let mut coefficients = vec![[0.0; LANES]; sheets * cones.cones.len()];
+    coefficients.par_chunks_mut(sheets.max(1)).zip(&cones.cones).for_each(|(lanes, cone)| {
         let kind = cone.cone_type as usize;
-        let (first, end) = ranges[kind];
-        let mut lanes = vec![[0.0; LANES]; end.div_ceil(LANES) - first / LANES];
-        let factor = cone.geometry * cone.pointing;
-        for (image, own) in (first..end).zip(kernels.coefficients(kind, cone.um, cone.ecc_deg)) {
-            lanes[image / LANES - first / LANES][image % LANES] = own * factor;
+        if seeing[kind] {
+            let factor = cone.geometry * cone.pointing;
+            for (r, own) in kernels.coefficients(kind, cone.um, cone.ecc_deg).into_iter().enumerate() {
+                lanes[r / LANES][r % LANES] = own * factor;
+            }
         }
-        lanes
-    };
-    let by_cone: Vec<Vec<[f64; LANES]>> = cones.cones.par_iter().map(of_cone).collect();
-    let mut coefficients = Vec::with_capacity(by_cone.iter().map(Vec::len).sum());
-    let own = cones.cones.iter().zip(by_cone).map(|(cone, lanes)| {
-        let offset = coefficients.len() as u32;
-        let first = (ranges[cone.cone_type as usize].0 / LANES) as u32;
-        let own = OwnImages { first, end: first + lanes.len() as u32, offset };
-        coefficients.extend(lanes);
-        own
     });
-    (own.collect(), coefficients)
+    coefficients
 }
 
 /// `[primary][frequency]`: transform of the pixel's rectangles, divided by the period's area and by the spreading kernel's.
@@ -219,8 +189,8 @@ fn pixel_transforms(
     emitters.iter().map(transform).collect()
 }
 
-/// Which kinds are computed: those that there are cones of and that catch more than `blind_below` of what the best one does.
-fn seeing(kernels: &Kernels, cones: &ConeTable, blind_below: f64) -> [bool; KINDS.len()] {
+/// Which types of cones are computed: those that catch more than `blind_below` of what the best one does.
+fn seeing(kernels: &Kernels, cones: &ConeTable, blind_below: f64) -> [bool; ARRIVING] {
     let catches: [f64; ARRIVING] = std::array::from_fn(|kind| {
         let Some(cone) = cones.cones.iter().find(|c| c.cone_type as usize == kind) else { return 0.0 };
         let own = kernels.coefficients(kind, cone.um, cone.ecc_deg);
@@ -230,18 +200,11 @@ fn seeing(kernels: &Kernels, cones: &ConeTable, blind_below: f64) -> [bool; KIND
         primaries.map(of).fold(0.0, f64::max)
     });
     let best = catches.into_iter().fold(0.0, f64::max);
-    std::array::from_fn(|kind| {
-        kind == ARRIVING || (catches[kind] > 0.0 && catches[kind] >= blind_below * best)
-    })
+    catches.map(|catch| catch > 0.0 && catch >= blind_below * best)
 }
 
-/// Every basis kernel of the seeing kinds on the kept frequencies.
-fn basis_images(
-    scene: &Scene,
-    kernels: &Kernels,
-    band: &Band,
-    seeing: [bool; KINDS.len()],
-) -> Vec<BasisImage> {
+/// The basis kernels of a kind on the kept frequencies.
+fn basis_kernels(scene: &Scene, kernels: &Kernels, band: &Band, kind: usize) -> Vec<BasisKernel> {
     let shape = kernels.shape();
     let [px, py] = scene.period_px.map(|p| p as f64);
     let stencils: Vec<_> = band
@@ -252,20 +215,14 @@ fn basis_images(
             shape.stencil(cycles)
         })
         .collect();
-    let jobs: Vec<(usize, usize)> = (0..KINDS.len())
-        .filter(|&kind| seeing[kind])
-        .flat_map(|kind| (0..kernels.rank(kind)).map(move |r| (kind, r)))
-        .collect();
-    jobs.par_iter()
-        .map(|&(kind, r)| {
-            let kernels = (0..kernels.spec().primaries.len())
-                .map(|primary| {
-                    let table = kernels.table(kind, r, primary);
-                    let value = |s: &Option<_>| s.as_ref().map_or(Complex64::ZERO, |s| shape.read(table, s));
-                    Planar::new(stencils.iter().map(value))
-                })
-                .collect();
-            BasisImage { kind, kernels }
-        })
+    let of_primary = |r: usize, primary: usize| {
+        let table = kernels.table(kind, r, primary);
+        let value = |s: &Option<_>| s.as_ref().map_or(Complex64::ZERO, |s| shape.read(table, s));
+        Planar::new(stencils.iter().map(value))
+    };
+    let primaries = kernels.spec().primaries.len();
+    (0..kernels.rank(kind))
+        .into_par_iter()
+        .map(|r| (0..primaries).map(|primary| of_primary(r, primary)).collect())
         .collect()
 }

@@ -1,28 +1,28 @@
 //! From images on the grid to cones: each cone's weights, and the sums over them.
 //!
-//! Four images stand side by side at each sample of a sheet, so that a cone's weights are read once for all images of its kind; the sheet
-//! repeats its first columns and rows at its end, so that no stencil has to wrap around.
+//! Four images stand side by side at each sample of a sheet, which holds the samples that cones read; where these go all around the period
+//! it repeats its first columns and rows at its end, so that no stencil has to wrap around.
 
+use glam::Vec4;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex;
 
 use super::cones::{ConeTable, MappedCone};
-use super::grid::{Columns, Real, Transforms};
+use super::grid::Real;
+use super::images::{Span, Transforms};
 use super::scene::Scene;
 use super::spread::{Spread, polygon_nodes};
 
 /// Images side by side.
 pub const LANES: usize = 4;
-/// Rows that are transformed together: what a cache line holds of a column.
-const ROWS: usize = 8;
 
 /// The weights of all cones on the grid.
 #[derive(Default)]
 pub struct Stencils {
     cones: Vec<Stencil>,
     weights: Vec<f32>,
-    /// Most columns and rows of a stencil.
-    most: [usize; 2],
+    /// Columns and rows that cones read.
+    spans: [Span; 2],
 }
 
 #[derive(Clone, Copy)]
@@ -32,11 +32,8 @@ struct Stencil {
     offset: usize,
 }
 
-/// Four images, `[y][x][lane]`, with their first columns and rows once more at the end.
-pub struct Sheet {
-    values: Vec<[f32; LANES]>,
-    pitch: usize,
-}
+/// Four images at the samples of the spans, `[y][x]`.
+pub struct Sheet(Vec<Vec4>);
 
 impl Stencils {
     /// The weights of a scene's cones.
@@ -53,11 +50,18 @@ impl Stencils {
         for cone in gathered {
             let offset = all.weights.len();
             all.weights.extend(cone.values);
-            let size = cone.size.map(|s| s as usize);
-            all.most = [all.most[0].max(size[0]), all.most[1].max(size[1])];
             all.cones.push(Stencil { first: cone.first, size: cone.size, offset });
         }
+        all.spans = [0, 1].map(|axis| {
+            let run = |stencil: &Stencil| (stencil.first[axis] as usize, stencil.size[axis] as usize);
+            Span::new(scene.samples[axis], all.cones.iter().map(run))
+        });
         all
+    }
+
+    /// Rows of the grid that cones read.
+    pub fn rows(&self) -> &Span {
+        &self.spans[1]
     }
 
     fn of(&self, cone: usize) -> ([usize; 2], [usize; 2], &[f32]) {
@@ -77,52 +81,53 @@ impl Stencils {
         }
     }
 
-    /// A sheet of one or two pairs of images.
-    pub fn sheet<T: Real>(&self, pairs: &[Columns<T>], transforms: &Transforms<T>) -> Sheet {
-        let [columns, rows] = transforms.samples;
-        let pitch = columns + self.most[0];
-        let mut values = vec![[0.0; LANES]; pitch * (rows + self.most[1])];
-        let mut block = vec![Complex::new(T::zero(), T::zero()); ROWS.min(rows) * columns];
+    /// A sheet of one or two pairs of images of the rows that cones read, transformed along y.
+    pub fn sheet<T: Real>(&self, mut pairs: Vec<Vec<Complex<T>>>, transforms: &Transforms<T>) -> Sheet {
+        let [across, down] = self.spans;
+        let columns = transforms.samples[0];
+        let mut sheet = Vec::with_capacity(across.len * down.len);
         let mut scratch = Vec::new();
-        for top in (0..rows).step_by(ROWS) {
-            let count = ROWS.min(rows - top);
-            for (pair, images) in pairs.iter().enumerate() {
-                let block = &mut block[..count * columns];
-                images.rows(transforms, top, block, &mut scratch);
-                for (row, line) in block.chunks_exact(columns).enumerate() {
-                    let sheet = &mut values[(top + row) * pitch..][..columns];
-                    for (lanes, z) in sheet.iter_mut().zip(line) {
-                        (lanes[2 * pair], lanes[2 * pair + 1]) = (z.re.single(), z.im.single());
-                    }
-                }
+        for row in 0..down.distinct() {
+            for pair in &mut pairs {
+                transforms.process(0, &mut pair[row * columns..][..columns], &mut scratch);
             }
-            for line in values[top * pitch..(top + count) * pitch].chunks_exact_mut(pitch) {
-                for column in columns..pitch {
-                    line[column] = line[column % columns];
+            let own = row * columns..(row + 1) * columns;
+            let Some(first) = pairs.first().map(|pair| &pair[own.clone()]) else { break };
+            let second = pairs.get(1).map(|pair| &pair[own]);
+            for range in across.ranges() {
+                let first = first[range.clone()].iter().map(|z| [z.re.single(), z.im.single()]);
+                match second {
+                    Some(second) => sheet.extend(
+                        first
+                            .zip(&second[range])
+                            .map(|([a, b], z)| Vec4::new(a, b, z.re.single(), z.im.single())),
+                    ),
+                    None => sheet.extend(first.map(|[a, b]| Vec4::new(a, b, 0.0, 0.0))),
                 }
             }
         }
-        for row in rows..rows + self.most[1] {
-            values.copy_within((row % rows) * pitch..(row % rows + 1) * pitch, row * pitch);
+        for row in down.distinct()..down.len {
+            let same = (row - down.period) * across.len;
+            sheet.extend_from_within(same..same + across.len);
         }
-        Sheet { values, pitch }
+        Sheet(sheet)
     }
 
     /// Integrals of the images of a sheet over a cone's aperture.
     pub fn integrals(&self, cone: usize, sheet: &Sheet) -> [f32; LANES] {
         let ([first_x, first_y], [nx, _], weights) = self.of(cone);
+        let [across, down] = &self.spans;
+        let corner = down.place(first_y) * across.len + across.place(first_x);
         // Even and odd columns apart: two chains of additions, in a fixed order.
-        let (mut even, mut odd) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+        let (mut even, mut odd) = (Vec4::ZERO, Vec4::ZERO);
         for (dy, line) in weights.chunks_exact(nx.max(1)).enumerate() {
-            let row = &sheet.values[(first_y + dy) * sheet.pitch + first_x..][..nx];
+            let row = &sheet.0[corner + dy * across.len..][..nx];
             let ((weights, _), (samples, _)) = (line.as_chunks::<2>(), row.as_chunks::<2>());
             for (w, s) in weights.iter().zip(samples) {
-                for lane in 0..LANES {
-                    even[lane] += w[0] * s[0][lane];
-                    odd[lane] += w[1] * s[1][lane];
-                }
+                even += w[0] * s[0];
+                odd += w[1] * s[1];
             }
         }
-        std::array::from_fn(|lane| even[lane] + odd[lane])
+        (even + odd).to_array()
     }
 }

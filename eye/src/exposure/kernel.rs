@@ -3,8 +3,8 @@
 //! For primary k, kind T (isomerized in L, M, S; arriving) and a place on the retina (field point f, eccentricity e):
 //! `K(ν) = Σ_m w_{kTe,m} OTF_f(λ_m, J⁻ᵀν) exp(-2πi J⁻ᵀν·δ_f(λ_m))`, ν in cycles per unit tangent of the screen, J the
 //! magnification (µm per unit tangent) at f, δ the landing point of the chief ray at λ_m from that at 543 nm (transverse chromatic
-//! shift). Between places K is interpolated by Lagrange polynomials over Chebyshev nodes; a low-rank basis then spans all places
-//! ([`super::lowrank`]), so that a cone's mean is a short sum of basis images.
+//! shift). Between places K is interpolated by Lagrange polynomials over Chebyshev nodes; a low-rank basis then spans all places and
+//! types of cones ([`super::lowrank`]), so that a cone's mean is a short sum of basis images.
 //!
 //! Absolute: K(0) is the share of photons through the entrance pupil that is counted; nothing is renormalized.
 
@@ -15,9 +15,9 @@ use serde::{Deserialize, Serialize};
 
 use super::density::densities;
 use super::field::Field;
-use super::lowrank::compress;
+use super::lowrank::{compress, compress_together};
 use super::polar::PolarShape;
-use super::spectral::{Absorbers, KINDS, Kind, Paths, Share, paths_at};
+use super::spectral::{ARRIVING, Absorbers, KINDS, Paths, Share, paths_at};
 use super::transfer::{FieldPoint, Transfer, extent, transfer_table};
 use super::{codec, nodes};
 use crate::cone::pigment::Pigments;
@@ -27,7 +27,7 @@ use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
 use crate::psf::{FieldTable, FieldTableSpec, Wavefront};
 use crate::spectrum::Spectrum;
 
-const MAGIC: [u8; 8] = *b"PEkernl2";
+const MAGIC: [u8; 8] = *b"PEkernl3";
 /// Diameter of the smallest cones, µm: frequencies that such an aperture averages away weigh less in the basis.
 const APERTURE_UM: f64 = 2.0;
 /// µm of retina per unit tangent near the fovea, for that weight only.
@@ -37,7 +37,7 @@ const ARRIVING_TOLERANCE: f64 = 10.0;
 /// Interpolation error of the tables over that of the basis: the means feel it less.
 pub const TABLE_TOLERANCE: f64 = 4.0;
 /// Weight of the mean light against all other frequencies in the basis.
-const MEAN_WEIGHT: f64 = 10.0;
+const MEAN_WEIGHT: f64 = 2.0;
 
 /// Inputs of the kernels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -78,7 +78,7 @@ pub struct KernelSpec {
     pub wavefronts: Option<Box<FieldTableSpec>>,
 }
 
-/// The basis of one kind.
+/// The kernels of one kind from its basis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct KindBasis {
     /// `[place][r]`, place = field node * eccentricity nodes + eccentricity node.
@@ -89,12 +89,20 @@ struct KindBasis {
 struct Head {
     spec: KernelSpec,
     shape: PolarShape,
+    /// By kind.
     kinds: Vec<KindBasis>,
+    /// Kernels of the basis that the types of cones share, and of that for arriving photons.
+    ranks: [usize; 2],
     basis_error: f64,
     /// Mean over the field nodes of the apodized share of the pupil's light.
     throughput: f64,
     /// `[wavelength]`, mean over the field nodes.
     paths: Vec<Paths>,
+}
+
+/// Which basis a kind's kernels are in.
+fn basis_of(kind: usize) -> usize {
+    usize::from(kind == ARRIVING)
 }
 
 /// Kernels of one kind, `[place][primary·sample]`.
@@ -134,8 +142,8 @@ impl Place {
 #[derive(Clone, Debug)]
 pub struct Kernels {
     head: Head,
-    /// `[kind][r][primary][sample]`.
-    tables: Vec<Vec<Vec<Vec<Complex64>>>>,
+    /// `[basis][r][primary][sample]`.
+    tables: [Vec<Vec<Vec<Complex64>>>; 2],
 }
 
 impl KernelSpec {
@@ -210,24 +218,23 @@ impl KernelSpec {
         let paths: Vec<Paths> = jobs.iter().map(|(_, w)| Paths::new(w, &media)).collect();
         let (kernels, throughput) = self.kernels_by_place(&jobs, &factors, &paths, shape)?;
         let weights = self.basis_weights(shape);
+        let (counted, arriving) = kernels.split_at(ARRIVING);
+        let shared = compress_together(counted, &weights, self.tolerance);
         // Arriving photons enter the budget only, where places average out: a coarser basis will do.
-        let tolerance = |kind: usize| match KINDS[kind] {
-            Kind::Isomerized(_) => self.tolerance,
-            Kind::Arriving => ARRIVING_TOLERANCE * self.tolerance,
-        };
-        let compress = |(kind, places): (usize, &Vec<_>)| compress(places, &weights, tolerance(kind));
-        let bases: Vec<_> = kernels.par_iter().enumerate().map(compress).collect();
-        let basis_error = bases.iter().take(KINDS.len() - 1).map(|b| b.error).fold(0.0, f64::max);
+        let arriving = compress(&arriving[0], &weights, ARRIVING_TOLERANCE * self.tolerance);
         let samples = shape.len();
         let split = |kernel: &Vec<Complex64>| kernel.chunks(samples).map(<[Complex64]>::to_vec).collect();
-        let tables = bases.iter().map(|b| b.kernels.iter().map(split).collect()).collect();
-        let kinds = bases.into_iter().map(|b| KindBasis { from_basis: b.coefficients }).collect();
+        let tables = [&shared.kernels, &arriving.kernels].map(|kernels| kernels.iter().map(split).collect());
+        let ranks = [shared.kernels.len(), arriving.kernels.len()];
+        let kinds = shared.coefficients.into_iter().chain([arriving.coefficients]);
+        let kinds = kinds.map(|from_basis| KindBasis { from_basis }).collect();
         Ok(Kernels {
             head: Head {
                 spec: self.clone(),
                 shape,
                 kinds,
-                basis_error,
+                ranks,
+                basis_error: shared.error,
                 throughput,
                 paths: self.mean_paths(&paths),
             },
@@ -316,20 +323,22 @@ impl KernelSpec {
         Ok((by_kind, throughput / jobs.len().max(1) as f64))
     }
 
-    /// Weights of the samples in the basis: area in the frequency plane times the aperture's transform squared, and the mean.
+    /// Weights of the samples in the basis: `dν/ν` times the aperture's transform squared, and the mean.
+    ///
+    /// An error of the kernel at frequencies about ν spreads over an area of 1/ν². Its share of the light over the whole image (L1) is the
+    /// root of area times energy, `|e(ν)|·ν·(1/ν)`: every octave weighs the same; so it does in the mean picture, whose power falls with
+    /// 1/ν². With the area ν dν alone (L2) a basis that was as large left 15 times the L1 on one lit pixel.
     fn basis_weights(&self, shape: PolarShape) -> Vec<f64> {
-        let one: Vec<f64> = (0..shape.len())
-            .map(|i| {
-                let nu = shape.radius * (i % shape.radial) as f64 / (shape.radial - 1) as f64;
-                let blur =
-                    (-0.5 * (std::f64::consts::TAU * nu / UM_PER_TANGENT * APERTURE_UM / 4.0).powi(2)).exp();
-                nu * blur * blur
-            })
-            .collect();
-        let total: f64 = one.iter().sum();
-        let mean = MEAN_WEIGHT * total / shape.azimuthal as f64;
-        let one: Vec<f64> =
-            one.into_iter().enumerate().map(|(i, w)| if i % shape.radial == 0 { mean } else { w }).collect();
+        let at = |i: usize| i % shape.radial;
+        let of_octave = |i: usize| {
+            let nu = shape.radius * at(i) as f64 / (shape.radial - 1) as f64;
+            let blur =
+                (-0.5 * (std::f64::consts::TAU * nu / UM_PER_TANGENT * APERTURE_UM / 4.0).powi(2)).exp();
+            if at(i) == 0 { 0.0 } else { blur * blur / at(i) as f64 }
+        };
+        let one: Vec<f64> = (0..shape.len()).map(of_octave).collect();
+        let mean = MEAN_WEIGHT * one.iter().sum::<f64>() / shape.azimuthal as f64;
+        let one: Vec<f64> = (0..).zip(one).map(|(i, w)| if at(i) == 0 { mean } else { w }).collect();
         self.primaries.iter().flat_map(|_| one.iter().copied()).collect()
     }
 }
@@ -367,14 +376,14 @@ impl Kernels {
         paths_at(&self.head.spec.nodes_nm, &self.head.paths, nm)
     }
 
-    /// Basis images of a kind.
+    /// Basis images of a kind; all types of cones share theirs.
     pub fn rank(&self, kind: usize) -> usize {
-        self.tables[kind].len()
+        self.tables[basis_of(kind)].len()
     }
 
     /// The table of a kind's basis kernel for a primary.
     pub fn table(&self, kind: usize, r: usize, primary: usize) -> &[Complex64] {
-        &self.tables[kind][r][primary]
+        &self.tables[basis_of(kind)][r][primary]
     }
 
     /// Coefficients `[r]` of a kind's basis at a place of the retina (µm) with a visual eccentricity (degrees).
@@ -412,21 +421,22 @@ impl Kernels {
         let (head, numbers): (Head, Vec<f64>) = codec::decode(MAGIC, bytes)?;
         let primaries = head.spec.primaries.len();
         let samples = head.shape.len();
-        let ranks: Vec<usize> = head.kinds.iter().map(|k| k.from_basis.first().map_or(0, Vec::len)).collect();
-        let expected = ranks.iter().sum::<usize>().checked_mul(2 * primaries * samples);
+        let expected = head.ranks.iter().sum::<usize>().checked_mul(2 * primaries * samples);
+        let fits = |(kind, own): (usize, &KindBasis)| {
+            own.from_basis.iter().all(|row| row.len() == head.ranks[basis_of(kind)])
+        };
         if head.paths.len() != head.spec.nodes_nm.len() {
             return Err("its paths do not fit its wavelengths".into());
         }
-        if head.kinds.len() != KINDS.len() || expected != Some(numbers.len()) || samples == 0 {
+        let fits = head.kinds.len() == KINDS.len() && head.kinds.iter().enumerate().all(fits);
+        if !fits || expected != Some(numbers.len()) || samples == 0 {
             return Err("its size does not fit its head".into());
         }
         let values: Vec<Complex64> = numbers.chunks_exact(2).map(|z| Complex64::new(z[0], z[1])).collect();
         let mut parts = values.chunks_exact(samples);
         let mut next = || parts.next().map(<[Complex64]>::to_vec).unwrap_or_default();
-        let tables = ranks
-            .iter()
-            .map(|&rank| (0..rank).map(|_| (0..primaries).map(|_| next()).collect()).collect())
-            .collect();
+        let tables =
+            head.ranks.map(|rank| (0..rank).map(|_| (0..primaries).map(|_| next()).collect()).collect());
         Ok(Self { head, tables })
     }
 }

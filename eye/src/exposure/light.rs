@@ -226,46 +226,51 @@ pub struct Window {
 }
 
 impl Window {
-    /// Rows of values, `[row][column]`; `fill` takes the first pixel of a row and its values.
-    fn rows(&self, mut fill: impl FnMut([u32; 2], &mut [f64])) -> Vec<f64> {
-        let [width, height] = self.size;
-        let mut values = vec![0.0; width as usize * height as usize];
-        for (row, line) in (self.first[1]..).zip(values.chunks_exact_mut(width.max(1) as usize)) {
-            fill([self.first[0], row], line);
+    /// Rows of values times `factor`, `[row][column]`; `fill` takes the first pixel of a row and its values.
+    fn rows(&self, factor: f64, mut fill: impl FnMut([u32; 2], &mut [f64])) -> Vec<f32> {
+        let [width, height] = self.size.map(|s| s as usize);
+        let mut values = Vec::with_capacity(width * height);
+        let mut line = vec![0.0; width];
+        for row in (self.first[1]..).take(height) {
+            fill([self.first[0], row], &mut line);
+            values.extend(line.iter().map(|value| (factor * value) as f32));
         }
         values
     }
 
-    /// [`light`] of its pixels.
-    pub fn light(&self, display: &Display, emitter: &Emitter, shows: Shows, shown: &Shown) -> Vec<f64> {
-        self.rows(|at, line| light_row(display, emitter, shows, shown, at, line))
+    /// [`light`] of its pixels times `factor`.
+    pub fn light(
+        &self,
+        display: &Display,
+        emitter: &Emitter,
+        shows: Shows,
+        shown: &Shown,
+        factor: f64,
+    ) -> Vec<f32> {
+        self.rows(factor, |at, line| light_row(display, emitter, shows, shown, at, line))
     }
 
-    /// [`frame_light`] of its pixels.
+    /// [`frame_light`] of its pixels times `factor`.
     pub fn frame_light(
         &self,
         display: &Display,
         emitter: &Emitter,
         courses: &[Course],
         shown: &Shown,
-    ) -> Vec<f64> {
+        factor: f64,
+    ) -> Vec<f32> {
         let share = match courses {
             [Course { shows: Shows::Bit(_), .. }, .., black] => black.share(),
             [only] if only.shows == Shows::Now => only.share(),
             _ => {
-                return self.rows(|[column, row], line| {
+                return self.rows(factor, |[column, row], line| {
                     for (value, column) in line.iter_mut().zip(column..) {
                         *value = frame_light(display, emitter, courses, shown, [column, row]);
                     }
                 });
             }
         };
-        self.rows(|at, line| {
-            light_row(display, emitter, Shows::Now, shown, at, line);
-            for value in line {
-                *value *= share;
-            }
-        })
+        self.rows(factor * share, |at, line| light_row(display, emitter, Shows::Now, shown, at, line))
     }
 }
 
@@ -358,7 +363,7 @@ mod tests {
     use super::*;
     use crate::display::{EmissionLaw, Panel, Transfer, Waveform, White};
 
-    /// Windows are their pixels, bit for bit: continuous levels, steps, bit planes; now and before.
+    /// Windows are their pixels, to the rounding of their numbers: continuous levels, steps, bit planes; now and before.
     #[test]
     fn light_of_a_window_is_that_of_its_pixels() {
         let rgb: Vec<f32> =
@@ -390,15 +395,15 @@ mod tests {
                 let (rects, waveform) = (vec![([0.0, 0.0, 1.0, 1.0], 1.0)], Waveform::Steady);
                 let emitter = Emitter { channel, photons: Vec::new(), rects, spot_sd_px: 0.0, waveform };
                 let courses = courses(&emitter, &display, shown.index);
-                let whole = window.frame_light(&display, &emitter, &courses, &shown);
+                let whole = window.frame_light(&display, &emitter, &courses, &shown, 3.0);
                 for course in &courses {
-                    let made = window.light(&display, &emitter, course.shows, &shown);
+                    let made = window.light(&display, &emitter, course.shows, &shown, 3.0);
                     for (i, (made, whole)) in (0_u32..).zip(made.iter().zip(&whole)) {
                         let at = [2 + i % 4, 1 + i / 4];
-                        let exact = light(&display, &emitter, course.shows, &shown, at);
-                        assert_eq!(made.to_bits(), exact.to_bits());
-                        let exact = frame_light(&display, &emitter, &courses, &shown, at);
-                        assert_eq!(whole.to_bits(), exact.to_bits());
+                        let exact = 3.0 * light(&display, &emitter, course.shows, &shown, at);
+                        assert_eq!(made.to_bits(), (exact as f32).to_bits());
+                        let exact = 3.0 * frame_light(&display, &emitter, &courses, &shown, at);
+                        assert!((f64::from(*whole) - exact).abs() <= 6e-8 * exact);
                     }
                 }
             }

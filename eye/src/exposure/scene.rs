@@ -8,6 +8,8 @@ use glam::DVec2;
 
 use crate::display::Display;
 
+/// A period may be shorter by this part of the guard distance, for a good number of pixels.
+const SHORTER: f64 = 16.0;
 /// Largest side of the grid, samples.
 pub const MAX_GRID: usize = 6144;
 
@@ -41,7 +43,7 @@ pub struct SceneNeeds {
     pub cones: [DVec2; 2],
     /// Rectangle of the line of sight's positions on the screen over all frames (unit tangents).
     pub sight: [DVec2; 2],
-    /// Least distance between a cone and a copy of the picture, unit tangents.
+    /// Distance between a cone and the nearest copy of the picture, up to a sixteenth less, unit tangents.
     pub guard: f64,
     /// Highest frequency kept, cycles per unit tangent.
     pub band: f64,
@@ -70,7 +72,7 @@ impl Scene {
         let reach = (cones_max - seen_from).max(seen_to - cones_min).max(DVec2::ONE) + guard;
         let per_px = 2.0 * needs.oversampling * needs.band * tangent_per_px;
         let samples_of = |p: usize| good_size((per_px * p as f64).ceil().max(16.0) as usize);
-        let period = [reach.x, reach.y].map(|reach| good_period(even(reach), samples_of));
+        let period = [reach.x, reach.y].map(|reach| good_period(even(reach), (guard / SHORTER) as usize));
         let samples = period.map(samples_of);
         if let Some(&large) = samples.iter().find(|&&s| s > MAX_GRID) {
             return Err(large);
@@ -130,14 +132,11 @@ fn even(px: f64) -> usize {
     ((px / 2.0).ceil() as usize).max(1) * 2
 }
 
-/// An even period of at least so many pixels, up to a sixteenth more, without large prime factors: where there are many pixels their
-/// transform is most of the work. The grid does not grow for it.
-fn good_period(at_least: usize, samples_of: impl Fn(usize) -> usize) -> usize {
-    let longer = (at_least..=at_least + at_least / 16).step_by(2);
-    longer
-        .take_while(|&n| samples_of(n) == samples_of(at_least))
-        .find(|&n| has_no_prime_above_seven(n))
-        .unwrap_or(at_least)
+/// An even period of so many pixels or up to `shorter` fewer, without large prime factors: where there are many pixels their transform is
+/// much of the work.
+fn good_period(px: usize, shorter: usize) -> usize {
+    let first = px.saturating_sub(shorter).max(2);
+    (first..=px).rev().find(|&n| n.is_multiple_of(2) && has_no_prime_above_seven(n)).unwrap_or(px)
 }
 
 fn has_no_prime_above_seven(mut n: usize) -> bool {
@@ -150,7 +149,7 @@ fn has_no_prime_above_seven(mut n: usize) -> bool {
 }
 
 /// The next even size without prime factors but 2, 3 and at most one 5: transforms of others take twice as long.
-fn good_size(at_least: usize) -> usize {
+pub fn good_size(at_least: usize) -> usize {
     let smooth = |mut n: usize| {
         n = if n.is_multiple_of(5) { n / 5 } else { n };
         for p in [2, 3] {
@@ -168,10 +167,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn periods_have_small_primes_where_the_grid_stays() {
-        let grid = |n: usize| n.div_ceil(100);
-        assert_eq!([16, 34, 782, 798, 898].map(|n| good_period(n, grid)), [16, 36, 784, 800, 900]);
-        assert_eq!(good_period(22, |n| n), 22);
+    fn periods_have_small_primes() {
+        assert_eq!([16, 34, 782, 800, 816].map(|n| good_period(n, 18)), [16, 32, 768, 800, 810]);
+        assert_eq!(good_period(22, 1), 22);
     }
 
     #[test]

@@ -19,7 +19,7 @@ pub struct SourcePrimary {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
     /// Mean photons into the pupil from each pixel of the window (as if all were at the gaze centre), `[row][column]`.
-    pub light: Vec<f64>,
+    pub light: Vec<f32>,
     /// Where the line of sight is meanwhile.
     pub segments: Vec<Segment>,
     /// When its photons leave; `None` for light of several courses together.
@@ -73,8 +73,7 @@ impl Projector {
             let photons = emitter.emitted() * self.pupil_share;
             if together {
                 // The order of light does not matter: one layer.
-                let light = window.frame_light(&self.display, emitter, &courses, shown);
-                let light = scaled(light, photons);
+                let light = window.frame_light(&self.display, emitter, &courses, shown, photons);
                 let rest = Segment { share: 1.0, decay: 0.0, sight: [DVec2::ZERO; 2] };
                 return SourcePrimary { layers: vec![Layer { light, segments: vec![rest], course: None }] };
             }
@@ -83,7 +82,7 @@ impl Projector {
                 return SourcePrimary { layers };
             }
             let layer = |course: &Course| {
-                let light = scaled(window.light(&self.display, emitter, course.shows, shown), photons);
+                let light = window.light(&self.display, emitter, course.shows, shown, photons);
                 let segments = course.segments(&self.gaze, shown.index, seconds, scene.tangent_per_px);
                 Layer { light, segments, course: Some(course.clone()) }
             };
@@ -113,13 +112,6 @@ impl Layer {
     pub fn is_at_rest(&self) -> bool {
         matches!(self.segments.as_slice(), [one] if one.share.to_bits() == 1.0_f64.to_bits() && one.sight == [DVec2::ZERO; 2])
     }
-}
-
-fn scaled(mut values: Vec<f64>, factor: f64) -> Vec<f64> {
-    for value in &mut values {
-        *value *= factor;
-    }
-    values
 }
 
 /// Transform of a pixel's rectangles, blurred by its spot, at cycles per pixel (y down): 1 at 0.

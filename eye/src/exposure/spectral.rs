@@ -30,6 +30,9 @@ pub const KINDS: [Kind; 4] = [
     Kind::Arriving,
 ];
 
+/// Index of the kind that counts arriving photons: the last one.
+pub const ARRIVING: usize = KINDS.len() - 1;
+
 /// Share of a primary's photons at a wavelength.
 pub type Share = (f64, f64);
 

@@ -40,7 +40,8 @@ impl Spread {
         Self { width, beta }
     }
 
-    fn value(&self, samples: f64) -> f64 {
+    /// Its value at a distance in samples; 0 beyond half its width.
+    pub fn value(&self, samples: f64) -> f64 {
         let z = 2.0 * samples / self.width as f64;
         let inside = 1.0 - z * z;
         if inside <= 0.0 { 0.0 } else { (self.beta * (inside.sqrt() - 1.0)).exp() }
