@@ -1,7 +1,7 @@
 //! A batch of photons on their way, stage by stage: each stage is a short loop over arrays, so that many loads of memory are under way at a
 //! time and what is alike for all is done for several at once. What few photons need is done apart, so that no loop has to guess.
 //!
-//! Places on the retina are in bins of the cones' index from an origin near the block's image, in single precision: good to 1e-5 of a bin.
+//! Places on the retina are in bins of the cones' index from an origin near the block's image, in single precision: good to 1e-4 of a bin.
 
 use super::dice::{CELL_JITTER, NODE_TIME, PLACE_COUNT, Words};
 use super::piece::{Tally, Wave};
