@@ -59,9 +59,10 @@ fn prepared(experiment: &Experiment) -> Exposure {
     exposure
 }
 
-fn main() {
+/// The engine `expected` on a wide picture and on the scene of the others: seconds of a frame there.
+fn expected(narrow: &Experiment) -> f64 {
     // The picture with more than 1 degree of retina around it: some 50,000 cones.
-    let mut experiment = figure_12(Pattern::Checkerboard { square_px: 3 });
+    let mut experiment = narrow.clone();
     experiment.retina.region_deg = Some([-1.85, 1.85, -1.85, 1.85]);
     let wide = prepared(&experiment);
     let frame = median(9, || drop(wide.frame(0, None).unwrap()));
@@ -70,10 +71,14 @@ fn main() {
         1e3 * frame,
         1e6 * frame / wide.len() as f64
     );
+    let narrow = prepared(narrow);
+    median(9, || drop(narrow.frame(0, None).unwrap()))
+}
 
+fn main() {
     let mut experiment = figure_12(Pattern::Checkerboard { square_px: 3 });
-    let expected = prepared(&experiment);
-    let fast = median(9, || drop(expected.frame(0, None).unwrap()));
+    let events_alone = std::env::args().any(|arg| arg == "events");
+    let fast = if events_alone { 0.0 } else { expected(&experiment) };
     experiment.counts.engine = Engine::Events;
     let events = prepared(&experiment);
     let drawn = events.frame(0, None).unwrap().diagnostics[0].1 as f64;
@@ -89,7 +94,7 @@ fn main() {
         1e9 * both / drawn,
         alone / both
     );
-    if std::env::args().any(|arg| arg == "events") {
+    if events_alone {
         return;
     }
     experiment.counts.engine = Engine::Paper;

@@ -10,7 +10,7 @@ use super::{Numerics, PlanError, PlannedTile, lit_wavelengths, planned_tiles};
 use crate::experiment::{Engine, Experiment, RangeError};
 
 /// CPU seconds per drawn photon of the `events` engine.
-const SECONDS_PER_EVENT: f64 = 50e-9;
+const SECONDS_PER_EVENT: f64 = 42e-9;
 /// Share of the photons in the pupil that `events` draws, about.
 const DRAWN_SHARE: f64 = 0.15;
 /// Share of a white screen's light in a picture, about.

@@ -1,9 +1,8 @@
 //! Which cone's aperture owns a point of the chart.
 //!
-//! A raster of square bins over the apertures, some 36 in a small one. A bin has a line, with one answer on its left and one on its right: a
-//! bin inside one aperture has the same cone on both sides, one that a wall crosses the cones that it parts. Where more meet, the
-//! answer is a list of walls: for every aperture of the bin those that cut it, and a point inside all of them is inside the aperture.
-//! Apertures are convex.
+//! A raster of square bins over the apertures, some 24 in a small one. A bin has two half planes, each with a cone: the bin inside one
+//! aperture, one that a wall crosses, and one with a gap between two apertures. Where more meet, the answer is a list of walls: for every
+//! aperture of the bin those that cut it, and a point inside all of them is inside the aperture. Apertures are convex.
 //!
 //! A point on a wall belongs to exactly one of the two cones: a wall is a line of the bin, made from its end points in lexicographic
 //! order, with the same bits for both cones, and a point on it counts as left of it.
@@ -13,11 +12,13 @@ use glam::DVec2;
 use super::mosaic::Retina;
 
 /// Bins in a small aperture, about: one of ten is smaller.
-const BINS_PER_CONE: f64 = 36.0;
+const BINS_PER_CONE: f64 = 24.0;
 /// Most bins per cone, all in all.
 const MOST_BINS_PER_CONE: f64 = 128.0;
 /// Answer: no aperture.
 const NOBODY: u32 = u32::MAX;
+/// In place of the number of a bin that is not there.
+const NO_BIN: u32 = u32::MAX;
 /// Set in an answer that is a list of walls; the rest is its first wall.
 const LIST: u32 = 1 << 31;
 /// Bins lie in memory in squares of this side, so that neighbours are near.
@@ -31,6 +32,8 @@ const RIGHT: u32 = 1;
 const LAST: u32 = 2;
 /// Last wall of a bin.
 const END: u32 = 4;
+/// Length of a line's normal: of whole numbers, it is off by 2e-5.
+const ONE: f32 = 32_767.0;
 /// No wall: the aperture holds the whole bin.
 const WHOLE: u32 = 8;
 
@@ -48,13 +51,19 @@ pub struct ConeIndex {
     walls: Vec<Wall>,
 }
 
-/// The line of a bin, as a [`Wall`]'s, and the answers left and right of it.
+/// The half planes of a bin, `normal · p >= at`, times [`ONE`]: a point in the first is of the first cone, else one in the second of the
+/// second, else of nobody. Small, so that many stay in the cache.
 #[derive(Clone, Copy, Debug)]
 struct Line {
-    normal: [f32; 2],
-    at: f32,
-    answer: [u32; 2],
+    normal: [[i16; 2]; 2],
+    at: [f32; 2],
+    /// The third is nobody's.
+    answer: [u32; 3],
 }
+
+/// A bin from which places near it are counted, so that they fit into single precision.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Origin([i32; 2]);
 
 /// One wall in one bin: the line `normal · p = at`, p in bins from the bin's corner.
 #[derive(Clone, Copy, Debug)]
@@ -152,8 +161,10 @@ impl ConeIndex {
                     whole[cone] = self.lines.len() as u32;
                     Line::same(a.tag >> 4)
                 }
-                [a] => Line::of(a, NOBODY),
-                [a, b] if a.is_back_of(b) => Line::of(a, b.tag >> 4),
+                [a] => Line::same(NOBODY).with(0, a),
+                // What is not of one is of the other.
+                [a, b] if a.is_back_of(b) => Line::same(b.tag >> 4).with(0, a),
+                [a, b] if a.tag & b.tag & LAST != 0 => Line::same(NOBODY).with(0, a).with(1, b),
                 [.., last] => {
                     let answer = LIST | self.walls.len() as u32;
                     self.walls.extend_from_slice(&of_bin[..of_bin.len() - 1]);
@@ -173,17 +184,50 @@ impl ConeIndex {
         self.cone(self.answer(self.line(bin), at), at)
     }
 
-    /// The bin of a point and its place in the bin. Far points, and what is not a number, have a bin that is not there.
-    #[inline]
-    pub(crate) fn place(&self, p: DVec2) -> (u32, [f32; 2]) {
+    /// Bins in a µm.
+    pub(crate) fn per_um(&self) -> f64 {
+        self.per_um
+    }
+
+    /// The bin of a point, or one near the apertures for a point that is far from all.
+    pub(crate) fn origin(&self, p: DVec2) -> Origin {
+        let whole = |at: f64, side: usize| at.floor().clamp(-1e6, side as f64 + 1e6) as i32;
+        let at = (p - self.first) * self.per_um;
+        Origin([whole(at.x, self.side[0]), whole(at.y, self.side[1])])
+    }
+
+    /// A point in bins from an origin.
+    pub(crate) fn bins_from(&self, origin: Origin, p: DVec2) -> DVec2 {
+        let [column, row] = origin.0.map(f64::from);
+        (p - self.first) * self.per_um - DVec2::new(column, row)
+    }
+
+    /// The bin of a point and its place in the bin. Far points have a bin that is not there.
+    fn place(&self, p: DVec2) -> (u32, [f32; 2]) {
         let at = (p - self.first) * self.per_um;
         // What is negative or not a number becomes 0 here.
         let (column, row) = (at.x as i32, at.y as i32);
-        if !(at.x >= 0.0 && at.y >= 0.0 && column < self.side[0] as i32 && row < self.side[1] as i32) {
-            return (u32::MAX, [0.0; 2]);
+        if !(at.x >= 0.0 && at.y >= 0.0) {
+            return (NO_BIN, [0.0; 2]);
         }
-        let inside = [(at.x - f64::from(column)) as f32, (at.y - f64::from(row)) as f32];
-        (self.number(column as usize, row as usize) as u32, inside)
+        (self.bin(column, row), [(at.x - f64::from(column)) as f32, (at.y - f64::from(row)) as f32])
+    }
+
+    /// The bin of a point in bins from an origin, and its place in the bin; far points have a bin that is not there.
+    #[inline]
+    pub(crate) fn place_near(&self, origin: Origin, at: [f32; 2]) -> (u32, [f32; 2]) {
+        let floor = |x: f32| x as i32 - i32::from(((x as i32) as f32) > x);
+        let whole = at.map(floor);
+        let bin = self.bin(origin.0[0].wrapping_add(whole[0]), origin.0[1].wrapping_add(whole[1]));
+        (bin, [at[0] - whole[0] as f32, at[1] - whole[1] as f32])
+    }
+
+    /// The bin in a column and row, if it is there.
+    #[inline]
+    fn bin(&self, column: i32, row: i32) -> u32 {
+        let (column, row) = (column as u32, row as u32);
+        let there = (column as usize) < self.side[0] && (row as usize) < self.side[1];
+        if there { self.number(column as usize, row as usize) as u32 } else { NO_BIN }
     }
 
     /// The line of a bin.
@@ -195,9 +239,25 @@ impl ConeIndex {
     /// What a line says of a place in its bin.
     #[inline]
     pub(crate) fn answer(&self, line: u32, at: [f32; 2]) -> u32 {
-        let line = &self.lines[line as usize];
-        let left = line.normal[0] * at[0] + line.normal[1] * at[1] >= line.at;
-        line.answer[usize::from(!left)]
+        let Line { normal, at: least, answer } = &self.lines[line as usize];
+        let holds = |half: usize| {
+            let [x, y] = normal[half].map(f32::from);
+            x * at[0] + y * at[1] >= least[half]
+        };
+        // Which one is chance: no branch.
+        answer[usize::from(!holds(0)) * (1 + usize::from(!holds(1)))]
+    }
+
+    /// Whether an answer is a cone and no more has to be asked.
+    #[inline]
+    pub(crate) fn is_cone(answer: u32) -> bool {
+        answer & LIST == 0
+    }
+
+    /// Whether an answer is a list of walls.
+    #[inline]
+    pub(crate) fn is_list(answer: u32) -> bool {
+        answer & LIST != 0 && answer != NOBODY
     }
 
     /// The cone that an answer means for a place in its bin.
@@ -233,14 +293,18 @@ impl ConeIndex {
 impl Line {
     /// The same answer everywhere.
     fn same(answer: u32) -> Self {
-        Self { normal: [0.0; 2], at: -1.0, answer: [answer; 2] }
+        Self { normal: [[0; 2]; 2], at: [-1.0; 2], answer: [answer, answer, NOBODY] }
     }
 
-    /// The cone of a wall on its side and something else on the other.
-    fn of(wall: Wall, other: u32) -> Self {
-        let cone = wall.tag >> 4;
-        let answer = if wall.tag & RIGHT == 0 { [cone, other] } else { [other, cone] };
-        Self { normal: wall.normal, at: wall.at, answer }
+    /// With a wall's half plane and cone.
+    fn with(mut self, half: usize, wall: Wall) -> Self {
+        let right = wall.tag & RIGHT != 0;
+        let sign = if right { -ONE } else { ONE };
+        self.normal[half] = wall.normal.map(|n| (n * sign).round() as i16);
+        // What is right of a wall is not on it.
+        self.at[half] = if right { (wall.at * sign).next_up() } else { wall.at * sign };
+        self.answer[half] = wall.tag >> 4;
+        self
     }
 }
 
@@ -294,6 +358,43 @@ fn cut(cone: u32, polygon: &[DVec2], corner: DVec2, bin: u32, parts: &mut Vec<(u
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::retina::{RegionUm, RetinaParams, build_region};
+    use crate::rng::{Purpose, Stream};
+
+    /// In mosaics without and with gaps: the raster, asked from afar and from an origin, against every aperture in turn.
+    #[test]
+    fn the_raster_says_what_the_polygons_say() {
+        for at in [0.0, 300.0, 900.0] {
+            let (min, max) = (DVec2::new(at - 40.0, -40.0), DVec2::new(at + 40.0, 40.0));
+            let retina = build_region(&RetinaParams::default(), &RegionUm { min, max }).unwrap();
+            let index = ConeIndex::new(&retina);
+            let origin = index.origin(DVec2::new(at + 7.0, -3.0));
+            let mut stream = Stream::new(9, Purpose::Study, 0, 0);
+            let mut close = 0;
+            for _ in 0..20_000 {
+                let p = min - 3.0 + DVec2::new(stream.uniform(), stream.uniform()) * (max - min + 6.0);
+                // How far inside an aperture.
+                let depth = |cone: usize| {
+                    let corners: Vec<DVec2> = retina.polygon(cone).collect();
+                    let walls = corners.iter().zip(corners.iter().cycle().skip(1));
+                    walls.map(|(a, b)| (*b - *a).normalize().perp_dot(p - *a)).fold(f64::INFINITY, f64::min)
+                };
+                let near = (0..retina.len()).filter(|i| (retina.center(*i) - p).length() < 20.0);
+                let (cone, depth) =
+                    near.map(|i| (i, depth(i))).max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, -1.0));
+                let bins_from = index.bins_from(origin, p).as_vec2().to_array();
+                let (bin, inside) = index.place_near(origin, bins_from);
+                let owner = index.cone(index.answer(index.line(bin), inside), inside);
+                if depth.abs() < 1e-4 {
+                    close += 1;
+                    continue;
+                }
+                let polygons = (depth > 0.0).then_some(cone as u32);
+                assert!(index.owner(p) == polygons && owner == polygons, "{p}: {owner:?} {polygons:?}");
+            }
+            assert!(close < 50, "{close}");
+        }
+    }
 
     /// Two triangles that share a wall: every point of it is in exactly one.
     #[test]

@@ -8,15 +8,14 @@ use crate::rng::mixed;
 /// 2^-32.
 const UNIT: f64 = 1.0 / 4_294_967_296.0;
 /// Purposes of a photon's words; up to 8.
-pub(super) const PLACE: u64 = 0;
-/// Below: whether it is counted; above: its time.
-pub(super) const COUNT_TIME: u64 = 1;
-/// Below: cell of the point spread; above: whether it is one of the core.
-pub(super) const CELL: u64 = 2;
-/// Below: place in the cell; above: field node.
-pub(super) const JITTER_NODE: u64 = 3;
-/// Pixel, where it is drawn.
-pub(super) const PIXEL: u64 = 4;
+/// Below: place in the pixel, twice 16 bits; above: whether it is counted.
+pub(super) const PLACE_COUNT: u64 = 0;
+/// Below: cell of the point spread; above: place in the cell, twice 16 bits.
+pub(super) const CELL_JITTER: u64 = 1;
+/// Below: field node, twice 16 bits; above: its time.
+pub(super) const NODE_TIME: u64 = 2;
+/// Above: pixel, where it is drawn.
+pub(super) const PIXEL: u64 = 3;
 /// The key of more words, for what few photons need.
 const MORE: u64 = 7;
 
@@ -36,19 +35,7 @@ impl Words {
     /// 64 bits of a photon for a purpose.
     #[inline]
     pub(super) fn of(self, photon: u64, purpose: u64) -> u64 {
-        mixed(self.key, (photon << 3) | purpose)
-    }
-
-    /// Two uniform numbers of 32 bits in [0, 1).
-    #[inline]
-    pub(super) fn pair(self, photon: u64, purpose: u64) -> DVec2 {
-        pair(self.of(photon, purpose))
-    }
-
-    /// A uniform number of 32 bits in [0, 1).
-    #[inline]
-    pub(super) fn one(self, photon: u64, purpose: u64) -> f64 {
-        unit((self.of(photon, purpose) >> 32) as u32)
+        mixed(self.key, photon.wrapping_mul(8).wrapping_add(purpose))
     }
 
     /// More words for a photon; different ones for each `what`.
@@ -65,17 +52,25 @@ impl Dice {
 
     /// Two uniform numbers of 32 bits in [0, 1).
     pub(super) fn pair(&mut self) -> DVec2 {
-        pair(self.bits())
+        let bits = self.bits();
+        DVec2::new(unit(bits as u32), above(bits))
     }
-}
-
-#[inline]
-fn pair(bits: u64) -> DVec2 {
-    DVec2::new(unit(bits as u32), unit((bits >> 32) as u32))
 }
 
 /// A uniform number in [0, 1).
 #[inline]
 pub(super) fn unit(bits: u32) -> f64 {
     f64::from(bits) * UNIT
+}
+
+/// A uniform number in [0, 1) of the upper half of a word.
+#[inline]
+pub(super) fn above(bits: u64) -> f64 {
+    unit((bits >> 32) as u32)
+}
+
+/// The two whole numbers of 16 bits in a half of a word.
+#[inline]
+pub(super) fn halves(bits: u32) -> [u32; 2] {
+    [bits & 0xFFFF, bits >> 16]
 }

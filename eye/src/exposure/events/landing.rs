@@ -107,22 +107,18 @@ impl Landing {
 }
 
 impl Patch {
-    /// Image of a place (pixel units from the corner) less the line of sight (pixels from the gaze centre), µm; not a number when it
-    /// is seen far from all cones.
-    #[inline]
-    pub(super) fn landing(&self, landing: &Landing, from_sight: DVec2) -> DVec2 {
-        match &self.affine {
-            Some((um, by)) if self.near => *um + *by * from_sight,
-            _ => self.far(landing, from_sight),
-        }
+    /// Image of its corner at rest, and change per pixel unit: all of it, however the eye moves. `None`: ask for each place.
+    pub(super) fn straight(&self) -> Option<(DVec2, DMat2)> {
+        self.affine.filter(|_| self.near)
     }
 
-    #[cold]
-    fn far(&self, landing: &Landing, from_sight: DVec2) -> DVec2 {
+    /// Image of a place (pixel units from the corner) less the line of sight (pixels from the gaze centre), µm; not a number when it
+    /// is seen far from all cones.
+    pub(super) fn landing(&self, landing: &Landing, from_sight: DVec2) -> DVec2 {
         let seen = self.corner + self.per_px * from_sight;
-        if !landing.holds(seen) {
+        if !self.near && !landing.holds(seen) {
             return DVec2::NAN;
         }
-        self.affine.as_ref().map_or_else(|| landing.um(seen), |(um, by)| *um + *by * from_sight)
+        self.affine.map_or_else(|| landing.um(seen), |(um, by)| um + by * from_sight)
     }
 }

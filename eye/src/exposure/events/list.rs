@@ -4,14 +4,14 @@
 //! spectrum near the wavelength node m, with the chance that a cone of type T at eccentricity e that counted a photon of the node has
 //! counted this one, `share(λ_i) hat_m(λ_i) τ(λ_i, e) q_T(λ_i, e)`, between steps of e as the weights are.
 
-use super::dice::{COUNT_TIME, Words, unit};
+use super::dice::{Words, unit};
 use super::tables::{Caught, ECC_STEPS};
 use crate::exposure::Photon;
 use crate::exposure::expected::ARRIVING;
 use crate::exposure::light::Course;
 use crate::exposure::spectral::{Absorbers, KINDS, Paths, Share};
 
-/// Most photons in the list of one frame and tile.
+/// Most photons in the list of one frame and tile: 20 bytes each, 15 MB, which a client still gets as one message with the counts.
 pub const MAX_PHOTONS: usize = 750_000;
 
 /// Wavelengths of the photons of one primary near one node that cones count.
@@ -79,8 +79,14 @@ impl Wavelengths {
 
 impl Lister<'_> {
     /// A photon that a cone has counted.
-    pub(super) fn photon(&self, words: Words, photon: u64, cone: u32, caught: &Caught) -> Photon {
-        let time = self.course.time(unit((words.of(photon, COUNT_TIME) >> 32) as u32));
+    pub(super) fn photon(
+        &self,
+        time: u32,
+        (words, photon): (Words, u64),
+        cone: u32,
+        caught: &Caught,
+    ) -> Photon {
+        let time = self.course.time(unit(time));
         let pair = words.more(photon, 3).pair();
         Photon {
             time_s: (f64::from(self.frame) + time) * self.frame_s,

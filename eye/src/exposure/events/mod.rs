@@ -6,6 +6,8 @@
 //! cone, which counts it with probability w/W, its own share over the most. Thinning a Poisson process leaves a Poisson process, so counts
 //! have the same distribution as in `paper` and `expected`; the weights w are those of `expected` (see `spectral`).
 //!
+//! Light of the screen beyond the window is added as a Poisson number a cone ([`beyond`]).
+//!
 //! Landing: place on the screen -> retina at 543 nm by a polynomial fitted to chief rays, affine inside a pixel; plus the transverse chromatic
 //! shift of the node; plus an offset from the point spread's table ([`spread`]).
 //!
@@ -17,12 +19,14 @@
 //! # Cost
 //! Time grows with the number of drawn photons, not with cones or pixels; the tables take milliseconds a node and wavelength.
 
+mod beyond;
 mod dice;
 mod landing;
 mod list;
 mod piece;
 mod sight;
 mod spread;
+mod stage;
 mod tables;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -40,10 +44,12 @@ use crate::experiment::Experiment;
 use crate::exposure::Photon;
 use crate::retina::ConeIndex;
 use crate::rng::{Purpose, Stream, mixed};
+use beyond::{Beyond, More};
 use landing::Landing;
 use list::{Lister, MAX_PHOTONS};
-use piece::{BLOCK, Block, GRAIN, Piece, Tally, Wave};
+use piece::{BLOCK, BLOCK_TANGENT, Block, GRAIN, Piece, Tally, Wave};
 use sight::Sight;
+use stage::Stage;
 use tables::Tables;
 
 /// The prepared engine.
@@ -57,6 +63,8 @@ pub struct Events {
     tables: Tables,
     /// By pixel of the window: share of its light that meets the pupil, relative to the gaze centre.
     slant: Vec<f64>,
+    /// Light of the screen beyond the window.
+    beyond: Option<Beyond>,
     /// Whether counted photons are listed.
     listed: bool,
 }
@@ -83,7 +91,8 @@ impl Events {
         let (low, high) =
             super::bounds(cones.cones.iter().flat_map(|c| c.polygon_px.iter().map(|p| scene.tangent(*p))));
         let landing = Landing::new(projection, scene, [low, high])?;
-        let tables = Tables::new(inputs, cones, &landing, experiment)?;
+        let index = ConeIndex::new(retina);
+        let tables = Tables::new(inputs, (cones, &index), &landing, experiment)?;
         let [width, height] = scene.size_px;
         let law = projector.display.emission_law;
         let pixels = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
@@ -95,10 +104,11 @@ impl Events {
             seed: experiment.counts.seed,
             place: mixed(kernels.spec().field_um[0].x.to_bits(), kernels.spec().field_um[0].y.to_bits()),
             scene: scene.clone(),
-            index: ConeIndex::new(retina),
+            index,
             landing,
             tables,
             slant,
+            beyond: Beyond::new(inputs, cones),
             listed: experiment.counts.photon_list,
         })
     }
@@ -130,14 +140,14 @@ impl Events {
             .into_par_iter()
             .with_max_len(1)
             .map(|_| {
-                let mut tally = Tally::new(self.tables.cones());
+                let (mut tally, mut stage) = (Tally::new(self.tables.cones()), Stage::new());
                 loop {
                     let number = next.fetch_add(1, Ordering::Relaxed);
                     if number >= blocks * layers.len() {
                         return tally;
                     }
                     let (layer, block) = (number / blocks, number % blocks);
-                    self.piece(shown, projector, &layers[layer], [layer, block], &mut tally);
+                    self.piece(shown, projector, &layers[layer], [layer, block], (&mut stage, &mut tally));
                 }
             })
             .collect();
@@ -145,19 +155,32 @@ impl Events {
         for tally in tallies {
             sum.add(tally);
         }
-        let means = Means {
-            isomerized: sum.counts.iter().map(|count| f64::from(*count)).collect(),
+        let mut means = Means {
+            isomerized: Vec::new(),
             arrived: sum.arrived as f64 * GRAIN,
             guided: sum.guided as f64 * GRAIN,
             clamped: 0,
         };
+        if let Some(beyond) = &self.beyond {
+            let frame = u64::from(shown.index);
+            let stream = &mut Stream::new(self.seed, Purpose::Events, frame, mixed(self.place, u64::MAX));
+            let list = self.listed.then_some(&mut sum.list);
+            let mut more = More { counts: &mut sum.counts, means: &mut means, list };
+            beyond.count((shown, &source), projector, &self.tables, stream, &mut more);
+        }
+        means.isomerized = sum.counts.iter().map(|count| f64::from(*count)).collect();
         let list = self.listed.then(|| listed(sum.list)).transpose()?;
         Ok(Drawn { counts: sum.counts, means, photons: sum.drawn, list })
     }
 
+    /// Pixels along the side of a block.
+    fn block_px(&self) -> usize {
+        ((BLOCK_TANGENT / self.scene.tangent_per_px) as usize).clamp(1, BLOCK)
+    }
+
     /// Blocks of pixels along each side of the window.
     fn blocks(&self) -> [usize; 2] {
-        self.scene.size_px.map(|size| (size as usize).div_ceil(BLOCK))
+        self.scene.size_px.map(|size| (size as usize).div_ceil(self.block_px()))
     }
 
     /// All photons of a layer from a block of pixels.
@@ -167,12 +190,13 @@ impl Events {
         projector: &Projector,
         (primary, layer, sight): &(usize, &Layer, Sight),
         [number, block]: [usize; 2],
-        tally: &mut Tally,
+        (stage, tally): (&mut Stage, &mut Tally),
     ) {
         let [width, height] = self.scene.size_px.map(|size| size as usize);
-        let (left, top) = (block % self.blocks()[0] * BLOCK, block / self.blocks()[0] * BLOCK);
-        let rows = top..(top + BLOCK).min(height);
-        let pixels = rows.flat_map(|row| (left..(left + BLOCK).min(width)).map(move |column| [column, row]));
+        let (side, across) = (self.block_px(), self.blocks()[0]);
+        let (left, top) = (block % across * side, block / across * side);
+        let rows = top..(top + side).min(height);
+        let pixels = rows.flat_map(|row| (left..(left + side).min(width)).map(move |column| [column, row]));
         let bounds = sight.bounds();
         let block_of_light = Block::new(pixels.filter_map(|[column, row]| {
             let pixel = row * width + column;
@@ -183,7 +207,10 @@ impl Events {
         if block_of_light.is_dark() {
             return;
         }
-        let piece = Piece { emitter: &projector.emitters[*primary], sight, block: block_of_light };
+        let corner = self.scene.tangent(DVec2::new(left as f64, top as f64) - 0.5 * (bounds[0] + bounds[1]));
+        let origin = self.index.origin(self.landing.um(corner));
+        let cones = (&self.index, origin, self.tables.field(&self.index, origin));
+        let piece = Piece::new(&projector.emitters[*primary], sight, block_of_light, cones);
         for wave in 0..self.tables.waves() {
             let rate = self.tables.most(*primary, wave);
             if rate <= 0.0 {
@@ -201,7 +228,7 @@ impl Events {
             let number = ((number * self.tables.waves() + wave) as u64) << 40 | block as u64;
             let frame = u64::from(shown.index);
             let mut stream = Stream::new(self.seed, Purpose::Events, frame, mixed(self.place, number));
-            piece.count(&self.landing, &self.index, &part, &mut stream, tally);
+            piece.count(&self.landing, &part, &mut stream, (stage, tally));
         }
     }
 }

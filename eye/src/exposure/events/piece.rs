@@ -1,26 +1,30 @@
-//! One piece of work: the photons of one layer of light from one block of pixels, wave by wave, a few hundred at a time in stages, so
-//! that the memory that one photon waits for is fetched while others are computed.
+//! One piece of work: the photons of one layer of light from one block of pixels, wave by wave, a batch at a time.
 
-use glam::DVec2;
+use std::ops::Range;
 
-use super::dice::{COUNT_TIME, PIXEL, Words, unit};
+use glam::{DMat2, DVec2};
+
+use super::dice::{PIXEL, Words, above, halves, unit};
 use super::landing::{Landing, Patch};
 use super::list::{Lister, MAX_PHOTONS};
 use super::sight::{Sight, place};
-use super::tables::{Beam, Drawn};
+use super::stage::{BATCH, Stage};
+use super::tables::{Beam, Field};
 use crate::display::Emitter;
 use crate::exposure::{Photon, poisson};
-use crate::retina::ConeIndex;
+use crate::retina::{ConeIndex, Origin};
 use crate::rng::Stream;
 
-/// Side of a block, pixels.
+/// Most pixels along the side of a block.
 pub(super) const BLOCK: usize = 8;
+/// Largest side of a block of more than one pixel, unit tangents (60 µm): what its photons ask of the cones' index stays in the cache.
+pub(super) const BLOCK_TANGENT: f64 = 0.0036;
 /// Pixels of a block.
 const PIXELS: usize = BLOCK * BLOCK;
 /// Photons a pixel from which on each pixel's number is drawn, and not each photon's pixel.
 const MANY: f64 = 32.0;
-/// Photons in one stage.
-const BATCH: usize = 128;
+/// A place that is far from all cones, bins.
+const FAR: f32 = 1e9;
 /// Arriving photons are added up as whole multiples of this share: then the order of adding does not matter.
 pub(super) const GRAIN: f64 = 1.0 / 1_048_576.0;
 
@@ -46,6 +50,27 @@ impl Tally {
         self.guided += other.guided;
         self.list.append(&mut other.list);
     }
+
+    /// Adds photons that arrived and were guided.
+    pub(super) fn arrive(&mut self, arrived: f64, guided: f64) {
+        self.arrived += (arrived / GRAIN) as u64;
+        self.guided += (guided / GRAIN) as u64;
+    }
+
+    /// Lists a counted photon; one too many is enough to know that there are.
+    pub(super) fn list(&mut self, photon: impl FnOnce() -> Photon) {
+        if self.list.len() <= MAX_PHOTONS {
+            self.list.push(photon());
+        }
+    }
+}
+
+/// Where photons of a pixel are seen, by the whole numbers of their bits, bins from an origin.
+struct Straight {
+    from: [f32; 2],
+    across: [f32; 2],
+    down: [f32; 2],
+    during: [f32; 2],
 }
 
 /// The pixels of a block that give light.
@@ -58,9 +83,15 @@ pub(super) struct Block {
 
 /// One layer's light from a block.
 pub(super) struct Piece<'a> {
-    pub(super) emitter: &'a Emitter,
-    pub(super) sight: &'a Sight<'a>,
-    pub(super) block: Block,
+    emitter: &'a Emitter,
+    sight: &'a Sight<'a>,
+    block: Block,
+    /// By pixel, when all are.
+    straight: Option<Vec<Straight>>,
+    index: &'a ConeIndex,
+    /// Where places are counted from.
+    origin: Origin,
+    field: Field,
 }
 
 /// One wavelength node's part of a piece.
@@ -106,119 +137,87 @@ impl Block {
     }
 }
 
-/// What is known of the photons of a batch. Loops over it are short, so that many loads are under way at a time.
-struct Stage {
-    /// Where chief rays land at the reference wavelength, µm.
-    seen: [DVec2; BATCH],
-    chance: [u32; BATCH],
-    drawn: [Drawn; BATCH],
-    /// Entry of the point spread's core, later the line of the bin and its answer.
-    held: [u32; BATCH],
-    /// Bin and place in it.
-    place: [(u32, [f32; 2]); BATCH],
-    arrived: f64,
-    guided: f64,
-}
-
-impl Stage {
-    fn new() -> Self {
-        Self {
-            seen: [DVec2::ZERO; BATCH],
-            chance: [0; BATCH],
-            drawn: [Drawn::default(); BATCH],
-            held: [0; BATCH],
-            place: [(0, [0.0; 2]); BATCH],
-            arrived: 0.0,
-            guided: 0.0,
-        }
+impl Straight {
+    /// A pixel of one rectangle without a spot whose image is affine, under a line of sight that moves evenly.
+    fn new(
+        (um, by): (DVec2, DMat2),
+        emitter: &Emitter,
+        [from, to]: [DVec2; 2],
+        (index, origin): (&ConeIndex, Origin),
+    ) -> Option<Self> {
+        let ([([x0, y0, x1, y1], _)], 0.0) = (emitter.rects.as_slice(), emitter.spot_sd_px) else {
+            return None;
+        };
+        let step = |px: DVec2, bits: i32| by * px * index.per_um() / f64::from(bits).exp2();
+        let (across, down) = (step(DVec2::new(x1 - x0, 0.0), 16), step(DVec2::new(0.0, y1 - y0), 16));
+        let corner = index.bins_from(origin, um + by * (DVec2::new(*x0, *y0) - from));
+        let single = |v: DVec2| v.as_vec2().to_array();
+        Some(Self {
+            // A whole number stands for the middle of its part.
+            from: single(corner + 0.5 * (across + down)),
+            across: single(across),
+            down: single(down),
+            during: single(step(from - to, 31)),
+        })
     }
 
-    /// Draws from the point spreads and finds what the bins say.
-    fn land(&mut self, index: &ConeIndex, beam: &Beam, words: Words, first: u64, many: usize) {
-        for (photon, (drawn, seen)) in (first..).zip(self.drawn.iter_mut().zip(&self.seen)).take(many) {
-            *drawn = beam.spread(*seen, words, photon);
-        }
-        for (held, drawn) in self.held.iter_mut().zip(&self.drawn).take(many) {
-            *held = beam.held(drawn.entry);
-        }
-        for i in 0..many {
-            let landed = beam.landed(self.seen[i], &self.drawn[i], self.held[i], words, first + i as u64);
-            self.place[i] = index.place(landed);
-        }
-        for (held, (bin, _)) in self.held.iter_mut().zip(&self.place).take(many) {
-            *held = index.line(*bin);
-        }
-        for (held, (_, at)) in self.held.iter_mut().zip(&self.place).take(many) {
-            *held = index.answer(*held, *at);
-        }
-    }
-
-    /// Counts on the cones where photons landed.
-    fn count(
-        &mut self,
-        index: &ConeIndex,
-        wave: &Wave,
-        words: Words,
-        first: u64,
-        many: usize,
-        tally: &mut Tally,
-    ) {
-        for i in 0..many {
-            let Some(cone) = index.cone(self.held[i], self.place[i].1) else {
-                continue;
-            };
-            let odds = wave.beam.odds(cone, self.drawn[i].node);
-            self.arrived += f64::from(odds.arrived);
-            self.guided += f64::from(odds.guided);
-            let count = &mut tally.counts[cone as usize];
-            let counted = self.chance[i] < odds.counted;
-            *count = count.saturating_add(u32::from(counted));
-            if let (true, Some(lister)) = (counted, &wave.lister)
-                && tally.list.len() <= MAX_PHOTONS
-            {
-                let caught = wave.beam.caught(cone);
-                tally.list.push(lister.photon(words, first + i as u64, cone, &caught));
-            }
-        }
+    /// Where a photon is seen.
+    #[inline]
+    fn seen(&self, place: u32, time: u32) -> [f32; 2] {
+        let [across, down] = halves(place).map(|part| part as i32 as f32);
+        let time = (time >> 1) as i32 as f32;
+        [0, 1].map(|axis| {
+            self.from[axis] + self.across[axis] * across + self.down[axis] * down + self.during[axis] * time
+        })
     }
 }
 
-impl Piece<'_> {
+impl<'a> Piece<'a> {
+    /// A block's light of an emitter, counted on the cones of an index.
+    pub(super) fn new(
+        emitter: &'a Emitter,
+        sight: &'a Sight<'a>,
+        block: Block,
+        (index, origin, field): (&'a ConeIndex, Origin, Field),
+    ) -> Self {
+        let straight = sight.line().and_then(|line| {
+            let of = |patch: &Patch| Straight::new(patch.straight()?, emitter, line, (index, origin));
+            block.patches.iter().map(of).collect()
+        });
+        Self { emitter, sight, block, straight, index, origin, field }
+    }
+
     /// Draws and counts the photons near one wavelength node.
     pub(super) fn count(
         &self,
         landing: &Landing,
-        index: &ConeIndex,
         wave: &Wave,
         stream: &mut Stream,
-        tally: &mut Tally,
+        (stage, tally): (&mut Stage, &mut Tally),
     ) {
         let pixels = self.numbers(self.sight.share() * wave.rate, stream);
         let drawn = pixels.iter().map(|(_, number)| number).sum::<u64>();
         let words = Words { key: stream.bits() };
         tally.drawn += drawn;
-        let mut stage = Stage::new();
         let mut first = 0;
         let mut runs = pixels.into_iter().filter(|run| run.1 > 0);
         let mut run = (None, 0);
         while first < drawn {
             let many = (drawn - first).min(BATCH as u64) as usize;
+            stage.throw(words, first, many);
             let mut filled = 0;
             while filled < many {
                 if run.1 == 0 {
                     run = runs.next().unwrap_or((None, u64::MAX));
                 }
                 let until = many.min(filled + run.1.min(BATCH as u64) as usize);
-                let (seen, chances) = (&mut stage.seen[filled..until], &mut stage.chance[filled..until]);
-                self.leave(landing, words, (run.0, first + filled as u64), seen, chances);
+                self.leave(landing, (words, first), run.0, (filled..until, stage));
                 (run.1, filled) = (run.1 - (until - filled) as u64, until);
             }
-            stage.land(index, &wave.beam, words, first, many);
-            stage.count(index, wave, words, first, many, tally);
+            stage.land((self.index, self.origin, &self.field), wave, (words, first), many);
+            stage.count(self.index, wave, (words, first), many, tally);
             first += many as u64;
         }
-        tally.arrived += (stage.arrived / GRAIN) as u64;
-        tally.guided += (stage.guided / GRAIN) as u64;
     }
 
     /// How many photons to draw from a pixel each, or from any pixel.
@@ -237,22 +236,76 @@ impl Piece<'_> {
             .collect()
     }
 
-    /// Where on the retina chief rays of photons from a pixel (or any) land at the reference wavelength, and their chances to be counted.
+    /// Where on the retina chief rays of some photons of a batch from a pixel (or any) land at the reference wavelength.
     fn leave(
         &self,
         landing: &Landing,
-        words: Words,
-        (pixel, first): (Option<usize>, u64),
-        seen: &mut [DVec2],
-        chances: &mut [u32],
+        (words, first): (Words, u64),
+        pixel: Option<usize>,
+        (range, stage): (Range<usize>, &mut Stage),
     ) {
-        let rests = self.sight.rests();
-        for (photon, (seen, chance)) in (first..).zip(seen.iter_mut().zip(chances)) {
-            let pixel = pixel.unwrap_or_else(|| self.block.pixel(words.one(photon, PIXEL)));
-            let bits = words.of(photon, COUNT_TIME);
-            let sight = rests.unwrap_or_else(|| self.sight.at(unit((bits >> 32) as u32)));
-            let place = place(self.emitter, words, photon) - sight;
-            (*seen, *chance) = (self.block.patches[pixel].landing(landing, place), bits as u32);
+        let of_light = |i: usize| self.block.pixel(above(words.of(first + i as u64, PIXEL)));
+        let Stage { place: places, time: times, seen: [xs, ys], .. } = stage;
+        let bits = places[range.clone()].iter().zip(&times[range.clone()]);
+        let seen = xs[range.clone()].iter_mut().zip(&mut ys[range.clone()]);
+        let photons = seen.zip(bits);
+        match (&self.straight, pixel) {
+            (Some(straight), Some(pixel)) => {
+                let straight = &straight[pixel];
+                for ((x, y), (place, time)) in photons {
+                    [*x, *y] = straight.seen(*place, *time);
+                }
+            }
+            (Some(straight), None) => {
+                for (i, ((x, y), (place, time))) in range.zip(photons) {
+                    [*x, *y] = straight[of_light(i)].seen(*place, *time);
+                }
+            }
+            (None, pixel) => {
+                for (i, ((x, y), (bits, time))) in range.zip(photons) {
+                    let patch = &self.block.patches[pixel.unwrap_or_else(|| of_light(i))];
+                    let from_sight =
+                        place(self.emitter, *bits, words, first + i as u64) - self.sight.at(unit(*time));
+                    let um = patch.landing(landing, from_sight);
+                    let at = self.index.bins_from(self.origin, um).as_vec2();
+                    [*x, *y] = if at.is_nan() { [FAR; 2] } else { at.to_array() };
+                }
+            }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::display::{Channel, Waveform};
+    use crate::retina::{RegionUm, Retina};
+
+    /// The places of bits in single precision against the same in double.
+    #[test]
+    fn straight_places() {
+        let index = ConeIndex::new(&Retina::assemble(&[], &RegionUm { min: DVec2::ZERO, max: DVec2::ONE }));
+        let (um, by) = (DVec2::new(812.5, -377.25), DMat2::from_cols_array(&[16.1, 0.3, -0.2, -15.9]));
+        let origin = index.origin(um + 3.0);
+        let mut emitter = Emitter {
+            channel: Channel::White,
+            photons: Vec::new(),
+            rects: vec![([0.1, 0.2, 0.8, 0.9], 1.0)],
+            spot_sd_px: 0.0,
+            waveform: Waveform::Steady,
+        };
+        let line = [DVec2::new(-0.5, 0.25), DVec2::new(1.5, -0.75)];
+        let straight = Straight::new((um, by), &emitter, line, (&index, origin)).unwrap();
+        let words = Words { key: 11 };
+        for photon in 0..1_000 {
+            let (bits, time) = (words.of(photon, 0) as u32, words.of(photon, 2) as u32);
+            let px = place(&emitter, bits, words, photon) - line[0].lerp(line[1], unit(time));
+            let exact = index.bins_from(origin, um + by * px);
+            let seen = straight.seen(bits, time);
+            let apart = (exact - DVec2::new(f64::from(seen[0]), f64::from(seen[1]))).abs().max_element();
+            assert!(apart < 1e-4, "{exact} {seen:?}");
+        }
+        emitter.spot_sd_px = 0.1;
+        assert!(Straight::new((um, by), &emitter, line, (&index, origin)).is_none());
     }
 }

@@ -2,11 +2,14 @@
 
 use glam::DVec2;
 
-use super::dice::{PLACE, Words};
+use super::dice::{Words, halves};
 use crate::display::Emitter;
 use crate::exposure::light::{Course, Segment};
 use crate::exposure::source::Layer;
 use crate::math;
+
+/// e-folds of the light over a segment below which it is even.
+const EVEN: f64 = 1e-9;
 
 /// A layer's segments with their cumulative shares.
 pub(super) struct Sight<'a> {
@@ -45,14 +48,17 @@ impl<'a> Sight<'a> {
         [low, high]
     }
 
-    /// Whether the eye rests and all photons leave under the same line of sight.
-    pub(super) fn rests(&self) -> Option<DVec2> {
+    /// Where the line of sight goes evenly from and to while the light is even, if it does.
+    pub(super) fn line(&self) -> Option<[DVec2; 2]> {
         let [low, high] = self.bounds();
-        (low == high).then_some(low)
+        match self.segments {
+            _ if low == high => Some([low, low]),
+            [one] if one.decay < EVEN && self.overlapping.is_none() => Some(one.sight),
+            _ => None,
+        }
     }
 
     /// The line of sight for a uniform number: the inverse of the light's distribution in time.
-    #[inline]
     pub(super) fn at(&self, uniform: f64) -> DVec2 {
         if let Some((course, sight)) = self.overlapping {
             return sight(course.time(uniform));
@@ -66,15 +72,14 @@ impl<'a> Sight<'a> {
         let from = self.until[number] - share;
         let u = if share > 0.0 { ((wanted - from) / share).clamp(0.0, 1.0) } else { 0.5 };
         // The light falls as e^{-decay x}.
-        let x = if decay < 1e-9 { u } else { -math::ln(1.0 + u * (math::exp(-decay) - 1.0)) / decay };
+        let x = if decay < EVEN { u } else { -math::ln(1.0 + u * (math::exp(-decay) - 1.0)) / decay };
         sight[0] + (sight[1] - sight[0]) * x
     }
 }
 
-/// A point of the emitter's rectangles and spot, pixel units.
-#[inline]
-pub(super) fn place(emitter: &Emitter, words: Words, photon: u64) -> DVec2 {
-    let within = words.pair(photon, PLACE);
+/// A point of the emitter's rectangles and spot, pixel units, for the bits of a photon's place.
+pub(super) fn place(emitter: &Emitter, bits: u32, words: Words, photon: u64) -> DVec2 {
+    let within = DVec2::from_array(halves(bits).map(|half| (f64::from(half) + 0.5) / 65_536.0));
     let [x0, y0, x1, y1] = match emitter.rects.as_slice() {
         [(rect, _)] => *rect,
         _ => emitter.rect(words.more(photon, 1).pair().x),

@@ -1,7 +1,8 @@
 //! A point spread as a table to draw from: cells of a window by the alias method (Walker 1977, Vose 1991), a photon evenly inside its
 //! cell; beyond the window a tail of density 1/r³, that of a sharp pupil edge on average over rings.
 //!
-//! The cells are in two tables: a small square core with nearly all light, which stays in the cache, and the rest of the window.
+//! The cells are in two tables: a small square core with nearly all light, which stays in the cache, and the rest of the window. The core's
+//! first cell stands for all that is outside the core; its own light is in the rest.
 //!
 //! # Stability
 //! Even jitter blurs by one cell: each cell's mass is sharpened by h²/24·∇² first, which leaves an error of fourth order. A mass that
@@ -24,17 +25,18 @@ const LEAST_HALF_UM: f64 = 60.0;
 const CORE_BITS: [u32; 3] = [5, 6, 7];
 const CORE_SHARE: f64 = 0.95;
 
+/// The cell of a core that stands for all light outside it.
+pub(super) const OUTSIDE: u32 = 0;
+
 /// The table.
 pub(super) struct Spread {
     /// By cell of the core: below, the other cell; above, the share of draws that stay, of 2^16.
     core: Vec<u32>,
     /// Binary logarithm of the core's side.
-    bits: u32,
+    pub(super) bits: u32,
     /// First row and column of the core in the window.
     first: [usize; 2],
-    /// Share of draws outside the core, of 2^32.
-    pub(super) outside: u32,
-    /// By cell of the window without its core: the other cell, and the share of draws that stay, of 2^32.
+    /// By cell of the window without its core but its first cell: the other cell, and the share of draws that stay, of 2^32.
     rest: Vec<(u32, u32)>,
     samples: usize,
     /// Side of a cell, µm.
@@ -82,18 +84,21 @@ impl Spread {
         let fit: Vec<u32> = CORE_BITS.into_iter().filter(|bits| 1 << bits <= samples).collect();
         let enough = fit.iter().find(|bits| holds(**bits) >= CORE_SHARE).or(fit.last());
         let bits = enough.copied().unwrap_or(CORE_BITS[0]);
-        let core: Vec<f64> = cells(bits).map(|cell| mass[cell]).collect();
-        let core_share = holds(bits) * (1.0 - tail);
-        let core_cells: Vec<usize> = cells(bits).collect();
+        let core_cells: Vec<usize> = cells(bits).skip(1).collect();
+        // As shares of all light, that outside the core first.
+        let mut core = vec![0.0];
+        core.extend(core_cells.iter().map(|cell| mass[*cell] * (1.0 - tail) / total));
+        let outside = (1.0 - core.iter().sum::<f64>()).max(0.0);
+        core[OUTSIDE as usize] = outside;
         for cell in core_cells {
             mass[cell] = 0.0;
         }
+        let packed = |(other, stay): (u32, u32)| other | (stay.saturating_add(0x8000) & 0xFFFF_0000);
         Self {
-            core: alias(&core).into_iter().map(|(other, stay)| other | (stay & 0xFFFF_0000)).collect(),
+            core: alias(&core).into_iter().map(packed).collect(),
             bits,
             first: place(bits).1,
-            outside: ((1.0 - core_share) * 4_294_967_296.0) as u32,
-            tail: if core_share < 1.0 { tail / (1.0 - core_share) } else { 0.0 },
+            tail: if outside > 0.0 { (tail / outside).min(1.0) } else { 0.0 },
             rest: alias(&mass),
             samples,
             pitch_um,
@@ -109,19 +114,6 @@ impl Spread {
     /// The table of the core, which is no longer in this one then.
     pub(super) fn take_core(&mut self) -> Vec<u32> {
         std::mem::take(&mut self.core)
-    }
-
-    /// The entry of the core for 32 random bits.
-    #[inline]
-    pub(super) fn entry(&self, bits: u32) -> u32 {
-        bits & ((1 << (2 * self.bits)) - 1)
-    }
-
-    /// Row and column of a cell, for the same bits and what the entry holds.
-    #[inline]
-    pub(super) fn place(&self, bits: u32, entry: u32) -> (u32, u32) {
-        let cell = if bits >> 16 < entry >> 16 { self.entry(bits) } else { entry & 0xFFFF };
-        (cell >> self.bits, cell & ((1 << self.bits) - 1))
     }
 
     /// An offset outside the core, in cells from the core's first corner.
@@ -202,14 +194,16 @@ mod tests {
             .collect();
         let total: f64 = mass.iter().sum();
         let spread = Spread::of_masses(mass.clone(), N, 1.0, 0.125, 1.0);
-        let outside = f64::from(spread.outside) / 4_294_967_296.0;
         let mut drawn = vec![0.0; N * N];
+        let mut outside = 0.0;
         let (side, cells) = (1 << spread.bits, spread.core.len() as f64);
         let place = |cell: usize| (spread.first[0] + cell / side) * N + spread.first[1] + cell % side;
         for (i, entry) in spread.core.iter().enumerate() {
             let stays = f64::from(entry >> 16) / 65_536.0;
-            drawn[place(i)] += (1.0 - outside) * stays / cells;
-            drawn[place((entry & 0xFFFF) as usize)] += (1.0 - outside) * (1.0 - stays) / cells;
+            for (cell, share) in [(i, stays), ((entry & 0xFFFF) as usize, 1.0 - stays)] {
+                *(if cell == OUTSIDE as usize { &mut outside } else { &mut drawn[place(cell)] }) +=
+                    share / cells;
+            }
         }
         let rest = outside * (1.0 - spread.tail) / mass.len() as f64;
         for (i, &(other, stay)) in spread.rest.iter().enumerate() {
@@ -218,7 +212,7 @@ mod tests {
             drawn[other as usize] += rest * (1.0 - stays);
         }
         let errors = mass.iter().zip(&drawn).map(|(m, d)| (0.875 * m / total - d).abs());
-        assert!((outside * spread.tail - 0.125).abs() < 1e-9);
+        assert!((outside * spread.tail - 0.125).abs() < 1e-6);
         let (worst, sum) = errors.fold((0.0, 0.0), |(worst, sum): (f64, f64), e| (worst.max(e), sum + e));
         assert!(side == 32 && worst < 1e-7 && sum < 1.6e-5, "{side} {worst} {sum}");
     }

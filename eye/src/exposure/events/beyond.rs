@@ -1,0 +1,104 @@
+//! Light of the screen beyond the window: a Poisson number more, of the mean of `tail`, on cones by their shares of it. A Poisson process
+//! may be split by where its photons come from, so counts keep their distribution.
+//!
+//! In a list these photons, some 4e-4 of all, have the times of their primary's light in the window, or its first course where that is
+//! dark, and the wavelengths that their cone counts of the primary.
+
+use super::dice::{Words, above};
+use super::list::Lister;
+use super::tables::Tables;
+use crate::exposure::cones::ConeTable;
+use crate::exposure::expected::Means;
+use crate::exposure::inputs::Inputs;
+use crate::exposure::light::{Course, Shown, courses};
+use crate::exposure::source::{Layer, Projector, Source, SourcePrimary};
+use crate::exposure::tail::Tail;
+use crate::exposure::{Photon, poisson};
+use crate::rng::Stream;
+
+/// The light from beyond a window, when there is a screen.
+pub(super) struct Beyond {
+    tail: Tail,
+}
+
+/// What is drawn of it in a frame.
+pub(super) struct More<'a> {
+    pub(super) counts: &'a mut [u32],
+    pub(super) means: &'a mut Means,
+    /// When photons are listed.
+    pub(super) list: Option<&'a mut Vec<Photon>>,
+}
+
+impl Beyond {
+    /// Over the cones of a tile; `None` when the window is the whole screen.
+    pub(super) fn new(inputs: &Inputs, cones: &ConeTable) -> Option<Self> {
+        let display = &inputs.projector.display;
+        if inputs.scene.size_px == [display.width_px, display.height_px] {
+            return None;
+        }
+        Some(Self { tail: Tail::new(inputs, cones)? })
+    }
+
+    /// Draws a frame's photons.
+    pub(super) fn count(
+        &self,
+        (shown, source): (&Shown, &Source),
+        projector: &Projector,
+        tables: &Tables,
+        stream: &mut Stream,
+        more: &mut More,
+    ) {
+        let cones = more.counts.len();
+        let none = Means { isomerized: vec![0.0; cones], arrived: 0.0, guided: 0.0, clamped: 0 };
+        // A window without light, of one primary more at a time.
+        let mut dark = Source { primaries: Vec::new(), covers_display: false };
+        let mut before = none.clone();
+        for (primary, light) in source.primaries.iter().enumerate() {
+            dark.primaries.push(SourcePrimary { layers: Vec::new() });
+            let mut until = none.clone();
+            self.tail.correct(&mut until, (shown, &dark), projector);
+            let mut total = 0.0;
+            let shares = until.isomerized.iter().zip(&before.isomerized).map(|(until, before)| {
+                total += (until - before).max(0.0);
+                total
+            });
+            let shares: Vec<f64> = shares.collect();
+            before = until;
+            let photons = poisson::from_stream(stream, total) as u64;
+            let words = Words { key: stream.bits() };
+            let courses = courses(&projector.emitters[primary], &projector.display, shown.index);
+            for photon in 0..photons {
+                let wanted = above(words.of(photon, 0)) * total;
+                let cone = shares.partition_point(|share| *share <= wanted).min(cones - 1);
+                more.counts[cone] = more.counts[cone].saturating_add(1);
+                let Some(list) = &mut more.list else { continue };
+                let Some(course) = course(&light.layers, above(words.of(photon, 1))).or(courses.first())
+                else {
+                    continue;
+                };
+                let caught = tables.caught(cone as u32);
+                let wave = tables.wave(primary, &caught, above(words.of(photon, 3)));
+                let Some(wavelengths) = tables.wavelengths(primary, wave) else { continue };
+                let frame_s = 1.0 / projector.display.frame_rate_hz;
+                let lister = Lister { wavelengths, course, frame: shown.index, frame_s };
+                let time = words.of(photon, 2) as u32;
+                list.push(lister.photon(time, (words, photon), cone as u32, &caught));
+            }
+        }
+        more.means.arrived += before.arrived;
+        more.means.guided += before.guided;
+    }
+}
+
+/// The course of one of some layers, by their light.
+fn course(layers: &[Layer], uniform: f64) -> Option<&Course> {
+    let light = |layer: &Layer| -> f64 {
+        layer.light.iter().sum::<f64>() * layer.segments.iter().map(|s| s.share).sum::<f64>()
+    };
+    let mut left = uniform * layers.iter().map(light).sum::<f64>();
+    let chosen = layers.iter().find(|layer| {
+        left -= light(layer);
+        left < 0.0
+    });
+    chosen.or(layers.last()).and_then(|layer| layer.course.as_ref())
+}
