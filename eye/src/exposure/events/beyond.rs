@@ -67,12 +67,15 @@ impl Beyond {
             let photons = poisson::from_stream(stream, total) as u64;
             let words = Words { key: stream.bits() };
             let courses = courses(&projector.emitters[primary], &projector.display, shown.index);
+            let lights: Vec<f64> =
+                if more.list.is_some() { light.layers.iter().map(sent).collect() } else { Vec::new() };
             for photon in 0..photons {
                 let wanted = above(words.of(photon, 0)) * total;
                 let cone = shares.partition_point(|share| *share <= wanted).min(cones - 1);
                 more.counts[cone] = more.counts[cone].saturating_add(1);
                 let Some(list) = &mut more.list else { continue };
-                let Some(course) = course(&light.layers, above(words.of(photon, 1))).or(courses.first())
+                let Some(course) =
+                    course((&light.layers, &lights), above(words.of(photon, 1))).or(courses.first())
                 else {
                     continue;
                 };
@@ -90,15 +93,18 @@ impl Beyond {
     }
 }
 
+/// Light of a layer over the frame.
+fn sent(layer: &Layer) -> f64 {
+    let light: f64 = layer.light.iter().map(|light| f64::from(*light)).sum();
+    light * layer.segments.iter().map(|s| s.share).sum::<f64>()
+}
+
 /// The course of one of some layers, by their light.
-fn course(layers: &[Layer], uniform: f64) -> Option<&Course> {
-    let light = |layer: &Layer| -> f64 {
-        layer.light.iter().sum::<f64>() * layer.segments.iter().map(|s| s.share).sum::<f64>()
-    };
-    let mut left = uniform * layers.iter().map(light).sum::<f64>();
-    let chosen = layers.iter().find(|layer| {
-        left -= light(layer);
+fn course<'a>((layers, lights): (&'a [Layer], &[f64]), uniform: f64) -> Option<&'a Course> {
+    let mut left = uniform * lights.iter().sum::<f64>();
+    let chosen = layers.iter().zip(lights).find(|(_, light)| {
+        left -= **light;
         left < 0.0
     });
-    chosen.or(layers.last()).and_then(|layer| layer.course.as_ref())
+    chosen.map(|(layer, _)| layer).or(layers.last()).and_then(|layer| layer.course.as_ref())
 }
