@@ -19,6 +19,9 @@ pub struct StudyArgs {
     /// An experiment of your own instead of the built-in scenes (error-vs-time, prediction)
     #[arg(long, value_name = "FILE.json")]
     pub spec: Option<PathBuf>,
+    /// Only built-in scenes with this in their names, one after the other (error-vs-time)
+    #[arg(long, value_name = "NAME", conflicts_with = "spec")]
+    pub scene: Vec<String>,
     /// Change a field of that experiment: eye.pupil_mm=5, accuracy.target=0.001
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub set: Vec<String>,

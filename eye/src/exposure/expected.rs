@@ -25,7 +25,7 @@ use super::kernel::Kernels;
 use super::picture_spectrum::PictureSpectrum;
 use super::scene::Scene;
 use super::source::{Source, pixel_transform};
-pub use super::spectral::ARRIVING;
+use super::spectral::ARRIVING;
 use super::spread::Spread;
 use crate::display::Emitter;
 use crate::plan::Numerics;

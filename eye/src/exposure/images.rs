@@ -3,6 +3,7 @@
 //! The transform along y is made of a few columns at a time, which are put down row by row while they are at hand; the one along x is left to
 //! the reader of the rows.
 
+use std::cmp::Ordering;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -121,18 +122,13 @@ pub fn two_images<T: Real>(
             sum_of_products(first, drive, run, &mut a);
             sum_of_products(second, drive, run, &mut b);
             let at = run.x.unsigned_abs() as usize - from;
-            let line = at * rows..(at + 1) * rows;
-            let (own, other) = if run.x > 0 {
-                (&mut plus[line.clone()], &mut minus[line])
-            } else if run.x < 0 {
-                (&mut minus[line.clone()], &mut plus[line])
-            } else {
+            let (right, left) = (&mut plus[at * rows..][..rows], &mut minus[at * rows..][..rows]);
+            match run.x.cmp(&0) {
+                Ordering::Greater => put(run, [&a, &b], right, Some(left)),
+                Ordering::Less => put(run, [&a, &b], left, Some(right)),
                 // Both are one column.
-                let line = &mut plus[line];
-                put(run, [&a, &b], line, None);
-                continue;
-            };
-            put(run, [&a, &b], own, Some(other));
+                Ordering::Equal => put(run, [&a, &b], right, None),
+            }
         }
         transforms.process(1, batch, &mut scratch);
         let (plus, minus) = batch.split_at(count * rows);

@@ -14,11 +14,12 @@ use rayon::prelude::*;
 
 use super::bounds;
 use super::cones::{ConeTable, slant_factor};
-use super::expected::{ARRIVING, Means};
+use super::expected::Means;
 use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::light::{Course, Shown, courses, frame_light};
 use super::source::Projector;
+use super::spectral::ARRIVING;
 use crate::experiment::StrayLight;
 
 /// Side of a small block.

@@ -17,14 +17,14 @@ use rayon::prelude::*;
 
 use super::bounds;
 use super::cones::ConeTable;
-use super::expected::{ARRIVING, Means};
+use super::expected::Means;
 use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::light::{Shown, courses, frame_light};
 use super::nodes::{chebyshev, lagrange};
 use super::scene::Scene;
 use super::source::{Projector, Source};
-use super::spectral::KINDS;
+use super::spectral::{ARRIVING, KINDS};
 
 /// Chebyshev nodes along each side of the cones' rectangle, and points of the grid that is read.
 const NODES: usize = 9;

@@ -24,11 +24,11 @@ const STEP_10_NM: f64 = 2e-5;
 const FIELD: f64 = 1.5e-3;
 /// Part of the copies' light that is left in the means after the tail's law is subtracted.
 const COPIES: f64 = 0.05;
-/// How much means of an evenly lit picture move per tolerance of the low-rank basis (0.2 to 2: ranks are whole numbers) and per loss above the
-/// band.
-const BASIS: f64 = 0.5;
+/// How much means move per tolerance of the low-rank basis, whatever the picture: 0.4 to 0.9, ranks are whole numbers.
+const BASIS: f64 = 0.7;
+/// How much means of an evenly lit picture move per loss above the band.
 const BAND: f64 = 0.3;
-/// How much more they move per sparsity of the picture above 1, and at most: tolerances are of the energy, errors of the light.
+/// How much more they move per sparsity of the picture above 1, and at most: the loss is of the energy, errors of the light.
 const SPARSE: f64 = 0.1;
 const MOST_SPARSE: f64 = 2.5;
 /// Points of a window and of a patch along a side in the sum over copies.
@@ -110,7 +110,7 @@ pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wa
         part("wavelength steps", STEP_10_NM * steps * pupil),
         part("wavelengths left out", wavelengths.outside),
         part("field interpolation", field_part(tiles)),
-        part("low-rank kernels", BASIS * sparse(experiment) * numerics.basis_tolerance),
+        part("low-rank kernels", BASIS * numerics.basis_tolerance),
         part("period", copies_part(experiment, tiles)),
         part("band limit", if limited { BAND * band_bound(experiment) } else { 1e-7 }),
         part("grid", grid),

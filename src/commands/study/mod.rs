@@ -41,6 +41,9 @@ pub fn run(context: &Context, args: &StudyArgs) -> Result<(), Failure> {
     if !takes_spec && (args.spec.is_some() || !args.set.is_empty()) {
         return Err(Failure::usage("--spec and --set: allowed with error-vs-time and prediction"));
     }
+    if !matches!(args.topic, StudyTopic::ErrorVsTime) && !args.scene.is_empty() {
+        return Err(Failure::usage("--scene: allowed with error-vs-time"));
+    }
     std::fs::create_dir_all(&args.out).map_err(|e| Failure::file("make", &args.out, &e))?;
     let mut task = Task { quick: args.quick, progress: Progress::new(context.json) };
     let mut page = Page::default();

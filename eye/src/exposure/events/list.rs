@@ -7,9 +7,8 @@
 use super::dice::{Words, unit};
 use super::tables::{Caught, ECC_STEPS};
 use crate::exposure::Photon;
-use crate::exposure::expected::ARRIVING;
 use crate::exposure::light::Course;
-use crate::exposure::spectral::{Absorbers, KINDS, Paths, Share};
+use crate::exposure::spectral::{ARRIVING, Absorbers, KINDS, Paths, Share};
 
 /// Most photons in the list of one frame and tile: 20 bytes each, 15 MB, which a client still gets as one message with the counts.
 pub const MAX_PHOTONS: usize = 750_000;

@@ -79,7 +79,7 @@ pub fn study(task: &mut Task, args: &StudyArgs, page: &mut Page) -> Result<(), F
     let scenes = match &args.spec {
         Some(path) => vec![read(path, &args.set)?],
         None if !args.set.is_empty() => return Err(Failure::usage("--set: allowed together with --spec")),
-        None => scenes::all(task.quick).map_err(Failure::failed)?,
+        None => chosen(scenes::all(task.quick).map_err(Failure::failed)?, &args.scene)?,
     };
     let mut all = Table::new(
         "error-vs-time",
@@ -129,10 +129,21 @@ pub fn study(task: &mut Task, args: &StudyArgs, page: &mut Page) -> Result<(), F
     );
     page.table(short);
     page.table(all);
-    if args.spec.is_none() {
+    if args.spec.is_none() && args.scene.is_empty() {
         scaling::study(task, page)?;
     }
     Ok(())
+}
+
+/// The scenes with one of `names` in theirs; all when there are none.
+fn chosen(all: Vec<Scene>, names: &[String]) -> Result<Vec<Scene>, Failure> {
+    let is_in = |scene: &Scene, name: &String| scene.name.to_lowercase().contains(&name.to_lowercase());
+    if let Some(name) = names.iter().find(|name| !all.iter().any(|scene| is_in(scene, name))) {
+        let known: Vec<&str> = all.iter().map(|scene| scene.name.as_str()).collect();
+        return Err(Failure::usage(format!("--scene {name}: none of {}", known.join("; "))));
+    }
+    let wanted = |scene: &Scene| names.is_empty() || names.iter().any(|name| is_in(scene, name));
+    Ok(all.into_iter().filter(wanted).collect())
 }
 
 /// The user's experiment.
