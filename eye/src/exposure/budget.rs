@@ -118,11 +118,11 @@ impl Ledger {
     fn sent_by(&self, source: &Source, primary: usize, pupil_share: f64) -> Sent {
         let mut sums = Sent::default();
         for layer in &source.primaries[primary].layers {
-            let share: f64 = layer.segments.iter().map(|s| s.share).sum();
+            let sent = layer.sent();
             let [emitted, entered, macula] = self.over_pixels(&layer.light, primary);
-            sums.emitted += emitted * share / pupil_share;
-            sums.entered += entered * share;
-            sums.macula += macula * share;
+            sums.emitted += emitted * sent / pupil_share;
+            sums.entered += entered * sent;
+            sums.macula += macula * sent;
         }
         sums
     }
@@ -133,10 +133,11 @@ impl Ledger {
         let courses = courses(emitter, display, shown.index);
         let size = if self.slant.is_empty() { [0; 2] } else { [display.width_px, display.height_px] };
         let window = Window { first: [0; 2], size };
-        let light = window.frame_light(display, emitter, &courses, shown, emitter.emitted());
+        let (share, light) = window.frame_light(display, emitter, &courses, shown);
         let [emitted, entered, macula] = self.over_pixels(&light, primary);
-        let pupil_share = projector.pupil_share;
-        Sent { emitted, entered: entered * pupil_share, macula: macula * pupil_share }
+        let photons = share * emitter.emitted();
+        let met = photons * projector.pupil_share;
+        Sent { emitted: emitted * photons, entered: entered * met, macula: macula * met }
     }
 
     /// Sums over pixels of their light alone, with the slant and with the slant and what the macula absorbs of a primary.

@@ -34,7 +34,7 @@ pub fn drive<T: Real>(
         let movement = moved.iter().find(|(segments, _)| *segments == layer.segments);
         for (i, light) in light.into_iter().enumerate() {
             let factor = movement.map_or(pixel[i], |(_, movement)| pixel[i] * movement[i]);
-            let (re, im) = (T::narrow(factor.re), T::narrow(factor.im));
+            let (re, im) = (T::narrow(layer.photons * factor.re), T::narrow(layer.photons * factor.im));
             sent.re[i] = sent.re[i] + (light.re * re - light.im * im);
             sent.im[i] = sent.im[i] + (light.re * im + light.im * re);
         }

@@ -226,51 +226,44 @@ pub struct Window {
 }
 
 impl Window {
-    /// Rows of values times `factor`, `[row][column]`; `fill` takes the first pixel of a row and its values.
-    fn rows(&self, factor: f64, mut fill: impl FnMut([u32; 2], &mut [f64])) -> Vec<f32> {
+    /// Rows of values, `[row][column]`; `fill` takes the first pixel of a row and its values.
+    fn rows(&self, mut fill: impl FnMut([u32; 2], &mut [f64])) -> Vec<f32> {
         let [width, height] = self.size.map(|s| s as usize);
         let mut values = Vec::with_capacity(width * height);
         let mut line = vec![0.0; width];
         for row in (self.first[1]..).take(height) {
             fill([self.first[0], row], &mut line);
-            values.extend(line.iter().map(|value| (factor * value) as f32));
+            values.extend(line.iter().map(|value| *value as f32));
         }
         values
     }
 
-    /// [`light`] of its pixels times `factor`.
-    pub fn light(
-        &self,
-        display: &Display,
-        emitter: &Emitter,
-        shows: Shows,
-        shown: &Shown,
-        factor: f64,
-    ) -> Vec<f32> {
-        self.rows(factor, |at, line| light_row(display, emitter, shows, shown, at, line))
+    /// [`light`] of its pixels.
+    pub fn light(&self, display: &Display, emitter: &Emitter, shows: Shows, shown: &Shown) -> Vec<f32> {
+        self.rows(|at, line| light_row(display, emitter, shows, shown, at, line))
     }
 
-    /// [`frame_light`] of its pixels times `factor`.
+    /// [`frame_light`] of its pixels: a factor, and what it is to be multiplied with.
     pub fn frame_light(
         &self,
         display: &Display,
         emitter: &Emitter,
         courses: &[Course],
         shown: &Shown,
-        factor: f64,
-    ) -> Vec<f32> {
+    ) -> (f64, Vec<f32>) {
         let share = match courses {
             [Course { shows: Shows::Bit(_), .. }, .., black] => black.share(),
             [only] if only.shows == Shows::Now => only.share(),
             _ => {
-                return self.rows(factor, |[column, row], line| {
+                let light = self.rows(|[column, row], line| {
                     for (value, column) in line.iter_mut().zip(column..) {
                         *value = frame_light(display, emitter, courses, shown, [column, row]);
                     }
                 });
+                return (1.0, light);
             }
         };
-        self.rows(factor * share, |at, line| light_row(display, emitter, Shows::Now, shown, at, line))
+        (share, self.rows(|at, line| light_row(display, emitter, Shows::Now, shown, at, line)))
     }
 }
 
@@ -395,15 +388,15 @@ mod tests {
                 let (rects, waveform) = (vec![([0.0, 0.0, 1.0, 1.0], 1.0)], Waveform::Steady);
                 let emitter = Emitter { channel, photons: Vec::new(), rects, spot_sd_px: 0.0, waveform };
                 let courses = courses(&emitter, &display, shown.index);
-                let whole = window.frame_light(&display, &emitter, &courses, &shown, 3.0);
+                let (share, whole) = window.frame_light(&display, &emitter, &courses, &shown);
                 for course in &courses {
-                    let made = window.light(&display, &emitter, course.shows, &shown, 3.0);
+                    let made = window.light(&display, &emitter, course.shows, &shown);
                     for (i, (made, whole)) in (0_u32..).zip(made.iter().zip(&whole)) {
                         let at = [2 + i % 4, 1 + i / 4];
-                        let exact = 3.0 * light(&display, &emitter, course.shows, &shown, at);
+                        let exact = light(&display, &emitter, course.shows, &shown, at);
                         assert_eq!(made.to_bits(), (exact as f32).to_bits());
-                        let exact = 3.0 * frame_light(&display, &emitter, &courses, &shown, at);
-                        assert!((f64::from(*whole) - exact).abs() <= 6e-8 * exact);
+                        let exact = frame_light(&display, &emitter, &courses, &shown, at);
+                        assert!((share * f64::from(*whole) - exact).abs() <= 6e-8 * exact);
                     }
                 }
             }

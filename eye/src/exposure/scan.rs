@@ -52,12 +52,12 @@ pub fn layers(
                 if weight <= 0.0 {
                     return 0.0;
                 }
-                (weight * photons * light(display, emitter, course.shows, shown, *at)) as f32
+                (weight * light(display, emitter, course.shows, shown, *at)) as f32
             };
             let segments: Vec<Segment> =
                 course.segments(&projector.gaze, shown.index, frame_s, scene.tangent_per_px);
             let light = turns.iter().map(of_pixel).collect();
-            layers.push(Layer { light, segments, course: Some(course) });
+            layers.push(Layer { light, photons, segments, course: Some(course) });
         }
     }
     layers.retain(Layer::is_lit);

@@ -18,8 +18,10 @@ pub struct SourcePrimary {
 /// Light with a common course in time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
-    /// Mean photons into the pupil from each pixel of the window (as if all were at the gaze centre), `[row][column]`.
+    /// Relative light of each pixel of the window, `[row][column]`.
     pub light: Vec<f32>,
+    /// Mean photons into the pupil from a pixel whose light is 1, as if it were at the gaze centre.
+    pub photons: f64,
     /// Where the line of sight is meanwhile.
     pub segments: Vec<Segment>,
     /// When its photons leave; `None` for light of several courses together.
@@ -73,18 +75,20 @@ impl Projector {
             let photons = emitter.emitted() * self.pupil_share;
             if together {
                 // The order of light does not matter: one layer.
-                let light = window.frame_light(&self.display, emitter, &courses, shown, photons);
+                let (share, light) = window.frame_light(&self.display, emitter, &courses, shown);
+                let photons = share * photons;
                 let rest = Segment { share: 1.0, decay: 0.0, sight: [DVec2::ZERO; 2] };
-                return SourcePrimary { layers: vec![Layer { light, segments: vec![rest], course: None }] };
+                let layer = Layer { light, photons, segments: vec![rest], course: None };
+                return SourcePrimary { layers: vec![layer] };
             }
             if let Some(scan) = emitter.waveform.scan() {
                 let layers = super::scan::layers(self, (emitter, scan), shown, scene, photons);
                 return SourcePrimary { layers };
             }
             let layer = |course: &Course| {
-                let light = window.light(&self.display, emitter, course.shows, shown, photons);
+                let light = window.light(&self.display, emitter, course.shows, shown);
                 let segments = course.segments(&self.gaze, shown.index, seconds, scene.tangent_per_px);
-                Layer { light, segments, course: Some(course.clone()) }
+                Layer { light, photons, segments, course: Some(course.clone()) }
             };
             SourcePrimary { layers: courses.iter().map(layer).filter(Layer::is_lit).collect() }
         };
@@ -105,7 +109,12 @@ impl Source {
 impl Layer {
     /// Whether it has any light.
     pub fn is_lit(&self) -> bool {
-        !self.segments.is_empty() && self.light.iter().any(|l| *l > 0.0)
+        self.photons > 0.0 && !self.segments.is_empty() && self.light.iter().any(|l| *l > 0.0)
+    }
+
+    /// Mean photons of the whole frame for a light of 1.
+    pub fn sent(&self) -> f64 {
+        self.photons * self.segments.iter().map(|segment| segment.share).sum::<f64>()
     }
 
     /// Whether the line of sight stays where it is at rest.

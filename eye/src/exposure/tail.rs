@@ -180,11 +180,11 @@ impl Tail {
     fn light(&self, primary: usize, shown: &Shown, source: &Source, projector: &Projector) -> Vec<f64> {
         let mut light = vec![0.0; self.blocks[0] * self.blocks[1]];
         for layer in &source.primaries[primary].layers {
-            let share: f64 = layer.segments.iter().map(|segment| segment.share).sum();
+            let sent = layer.sent();
             for (row, line) in layer.light.chunks_exact(self.size_px[0]).enumerate() {
                 let blocks = &mut light[row / self.block_px * self.blocks[0]..][..self.blocks[0]];
                 for (block, part) in blocks.iter_mut().zip(line.chunks(self.block_px)) {
-                    *block += share * part.iter().map(|light| f64::from(*light)).sum::<f64>();
+                    *block += sent * part.iter().map(|light| f64::from(*light)).sum::<f64>();
                 }
             }
         }

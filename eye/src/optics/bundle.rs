@@ -8,7 +8,7 @@
 //!
 //! Nodes: Gauss–Legendre in r² times uniform azimuth; weights sum to π, the area of the unit stop.
 
-use super::aim::{Aimed, Aimer, Launch};
+use super::aim::{Aimed, Aimer, Launch, NEAR_MM, TOLERANCE_MM};
 use super::error::OpticsError;
 use super::object::Object;
 use super::schematic_eye::SchematicEye;
@@ -188,8 +188,8 @@ impl PupilBundle {
         let inverse = aimer.slope(chief_uv).ok_or_else(lost)?.inverse();
         let tracer = Tracer { aimer, sphere, chief_path, start: Launch { uv: chief_uv, inverse } };
         let [inner, outer] = guess.map_or([None; 2], |[inner, outer]| [Some(&inner[..]), Some(&outer[..])]);
-        let (rays, inner) = tracer.rays(points, inner).ok_or_else(lost)?;
-        let (edge, outer) = tracer.rays(rim, outer).ok_or_else(lost)?;
+        let (rays, inner) = tracer.rays(points, inner, NEAR_MM).ok_or_else(lost)?;
+        let (edge, outer) = tracer.rays(rim, outer, TOLERANCE_MM).ok_or_else(lost)?;
         Ok(Self {
             chief,
             landing,
@@ -241,6 +241,7 @@ impl Tracer<'_> {
         &self,
         points: &[(DVec2, f64)],
         guess: Option<&[Launch]>,
+        tolerance_mm: f64,
     ) -> Option<(Vec<PupilRay>, Vec<Launch>)> {
         let radius = self.aimer.stop_radius_mm();
         let mut seed = (DVec2::ZERO, self.start);
@@ -255,7 +256,7 @@ impl Tracer<'_> {
                 let uv = seed.1.uv + seed.1.inverse * (target - seed.0);
                 Launch { uv, ..seed.1 }
             });
-            let aimed = self.aimer.near(target, start)?;
+            let aimed = self.aimer.near(target, start, tolerance_mm)?;
             seed = (target, aimed.launch);
             launches.push(aimed.launch);
             rays.push(self.ray(weight, &aimed)?);

@@ -95,8 +95,7 @@ impl Beyond {
 
 /// Light of a layer over the frame.
 fn sent(layer: &Layer) -> f64 {
-    let light: f64 = layer.light.iter().map(|light| f64::from(*light)).sum();
-    light * layer.segments.iter().map(|s| s.share).sum::<f64>()
+    layer.sent() * layer.light.iter().map(|light| f64::from(*light)).sum::<f64>()
 }
 
 /// The course of one of some layers, by their light.
