@@ -14,6 +14,9 @@ use crate::prepare::Prepared;
 use crate::service::{Service, unexpected};
 use crate::view;
 
+/// Priority of a job when nothing is said.
+const PRIORITY: u32 = 5;
+
 /// How a job is asked for.
 #[derive(Clone, Debug, Default)]
 pub struct Wish {
@@ -21,6 +24,8 @@ pub struct Wish {
     pub request_id: Option<String>,
     /// 0 to 9; 5 when nothing is said.
     pub priority: Option<u32>,
+    /// Whoever asks lives in this process; the job dies with it.
+    pub local: bool,
 }
 
 impl Service {
@@ -46,7 +51,7 @@ impl Service {
         message: &v1::Experiment,
         wish: Wish,
     ) -> Result<(v1::Job, bool), Error> {
-        let priority = wish.priority.unwrap_or(5);
+        let priority = wish.priority.unwrap_or(PRIORITY);
         if priority > 9 {
             let message = format!("{priority} is out of range, allowed is 0 to 9");
             return Err(FieldError::new("priority", message).into());
@@ -65,7 +70,7 @@ impl Service {
         self.check_size(&prepared).inspect_err(|_| self.refused())?;
         self.check_load(caller, &prepared.planned.plan).inspect_err(|_| self.refused())?;
         let artifacts = prepared.planned.artifacts.len() as u64;
-        let job = new_job(caller, prepared, to_json(&plan)?, wish.request_id, priority as u8);
+        let job = new_job(caller, prepared, to_json(&plan)?, wish);
         match self.machine.execute(Command::Create(Box::new(job))).await? {
             Reply::Created(id, new) => {
                 if new {
@@ -149,13 +154,7 @@ impl Service {
     }
 }
 
-fn new_job(
-    caller: &Caller,
-    prepared: Prepared,
-    plan_json: String,
-    request_id: Option<String>,
-    priority: u8,
-) -> NewJob {
+fn new_job(caller: &Caller, prepared: Prepared, plan_json: String, wish: Wish) -> NewJob {
     let Prepared { planned, digest, experiment_json } = prepared;
     let plan = &planned.plan;
     let tiles = plan.tile_artifacts.iter().map(|keys| keys.iter().map(ToString::to_string).collect());
@@ -169,11 +168,12 @@ fn new_job(
         tiles: tiles.collect(),
         shards: shards.collect(),
         shard_us: planned.shard_us,
-        request: request_id.map(|id| (request_name(caller, &id), digest.clone())),
+        request: wish.request_id.map(|id| (request_name(caller, &id), digest.clone())),
         experiment_digest: digest,
         tenant: caller.tenant.clone(),
-        priority,
+        priority: wish.priority.unwrap_or(PRIORITY) as u8,
         by: caller.who.clone(),
+        local: wish.local,
     }
 }
 

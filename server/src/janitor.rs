@@ -1,5 +1,6 @@
-//! Keeps the blob store within a size: what was not read for longest goes first. Results and artifacts are made again when
-//! somebody asks; uploads cannot be, and what a job at work needs stays too. And it has old jobs and records deleted.
+//! Has old jobs and records deleted, and removes what they leave in the blob store. And keeps the store within a size: what was
+//! not read for longest goes first. Results and artifacts are made again when somebody asks; uploads cannot be, and what a job at
+//! work needs stays too.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, SystemTime};
@@ -12,10 +13,14 @@ use crate::service::Service;
 
 /// How often it looks.
 const EVERY: Duration = Duration::from_mins(1);
-/// How often it has old rows deleted.
+/// How often it has old rows deleted, and the blobs that no row names.
 const SWEEP_EVERY: Duration = Duration::from_hours(1);
 /// Younger than this stays: it may be on its way into a commit.
 const YOUNG: Duration = Duration::from_mins(10);
+/// A blob that no row names stays so long: a worker puts the first frames of a shard long before it commits the shard.
+const UNNAMED: Duration = Duration::from_hours(24);
+/// Blobs looked up at once.
+const PART: usize = 500;
 
 impl Service {
     /// Looks again and again, for ever; without a size, never.
@@ -34,8 +39,8 @@ impl Service {
         }
     }
 
-    /// Has old jobs and records deleted, for ever.
-    pub(crate) async fn sweep(&self) {
+    /// Has old jobs, records and blobs deleted, for ever.
+    pub(crate) async fn sweep(&self, folder: &FolderStore) {
         let limits = &self.limits;
         let mut tick = tokio::time::interval(SWEEP_EVERY);
         loop {
@@ -49,7 +54,35 @@ impl Service {
             if let Err(error) = self.machine.execute(Command::Sweep(sweep)).await {
                 tracing::error!(%error, "cannot delete what is over");
             }
+            // Found by looking, not by a list of what was deleted: after a crash in between it is found the next time.
+            match self.remove_unnamed(folder).await {
+                Ok(0) => {}
+                Ok(count) => tracing::info!(count, "blobs removed that nothing names any more"),
+                Err(error) => tracing::error!(%error, "cannot remove blobs"),
+            }
         }
+    }
+
+    /// Removes blobs that no job, artifact, upload or alarm names; says how many.
+    async fn remove_unnamed(&self, folder: &FolderStore) -> Result<usize, Error> {
+        let store = folder.clone();
+        let list = tokio::task::spawn_blocking(move || store.list_with_times()).await?;
+        let old: Vec<BlobDigest> = list
+            .into_iter()
+            .take_while(|(time, _)| age(*time) >= UNNAMED)
+            .map(|(_, digest)| digest)
+            .collect();
+        let mut count = 0;
+        for part in old.chunks(PART) {
+            let texts: Vec<String> = part.iter().map(ToString::to_string).collect();
+            let named = self.machine.documents().named(&texts).await?;
+            for digest in part.iter().filter(|digest| !named.contains(&digest.to_string())) {
+                let (store, digest) = (folder.clone(), *digest);
+                let removed = move || store.remove_unused(&digest, UNNAMED);
+                count += usize::from(tokio::task::spawn_blocking(removed).await??);
+            }
+        }
+        Ok(count)
     }
 
     /// Removes blobs until the rest fits; says how many.
@@ -68,8 +101,7 @@ impl Service {
         let pins = self.machine.read(in_use);
         let mut count = 0;
         for (time, digest) in list {
-            let age = SystemTime::now().duration_since(time).unwrap_or_default();
-            if bytes <= most_bytes || age < young {
+            if bytes <= most_bytes || age(time) < young {
                 break;
             }
             if pins.contains(&digest) || self.machine.documents().uploaded(&digest.to_string()).await? {
@@ -82,6 +114,11 @@ impl Service {
         }
         Ok(count)
     }
+}
+
+/// How long ago a time was.
+fn age(time: SystemTime) -> Duration {
+    SystemTime::now().duration_since(time).unwrap_or_default()
 }
 
 /// What jobs at work have and need.

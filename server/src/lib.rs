@@ -12,7 +12,9 @@ mod grpc;
 mod janitor;
 pub mod jobs;
 mod listen;
+mod memory;
 mod metrics;
+mod pieces;
 mod prepare;
 mod quota;
 mod report;
@@ -41,9 +43,10 @@ use tonic::transport::{Channel, Endpoint, Uri};
 pub use service::Limits;
 
 use access::Access;
-use jobs::Machine;
 use jobs::clock::Clock;
 use jobs::sqlite::SqliteStore;
+use jobs::state::ORPHAN;
+use jobs::{Command, Machine, State};
 use photoneye_eye::plan::Machine as Speed;
 use quota::Quota;
 use service::Service;
@@ -120,6 +123,7 @@ impl Server {
     /// # Errors
     /// When the port is taken, or the data folder cannot be used.
     pub async fn start(options: Options) -> Result<Handle, StartError> {
+        memory::share_arenas();
         let listen_error = |error| StartError::Listen(options.listen, error);
         let listener = TcpListener::bind(options.listen).await.map_err(listen_error)?;
         let address = listener.local_addr().map_err(listen_error)?;
@@ -130,6 +134,11 @@ impl Server {
         let opened = SqliteStore::open(&file, clock.now_ms()).await;
         let store = opened.map_err(|error| StartError::Database(file.clone(), error))?;
         let machine = Machine::new(store, clock);
+        let orphans: Vec<String> = machine.read(State::orphans);
+        machine.execute(Command::Disown).await.map_err(|error| StartError::Database(file.clone(), error))?;
+        for job in orphans {
+            tracing::warn!(job, "cancelled: {ORPHAN}");
+        }
         let limits = options.limits;
         let service = Arc::new(Service {
             access: Access::new(machine.documents().clone()),
@@ -139,6 +148,7 @@ impl Server {
             quota: Quota::new(limits.burst_seconds, limits.rate),
             fleet: fleet::Fleet::default(),
             metrics: metrics::Metrics::default(),
+            unpacking: tokio::sync::Semaphore::new(service::UNPACKED),
             plans: prepare::Plans::default(),
             speed: speed(&options.data_dir),
         });
@@ -160,7 +170,8 @@ impl Server {
                     () = listen::serve(listener, tls, receiver, routes, stop) => {}
                     () = service.machine.reap() => {}
                     () = service.keep_size(&blobs, options.store_max_bytes) => {}
-                    () = service.sweep() => {}
+                    () = service.sweep(&blobs) => {}
+                    () = service.give_memory_back() => {}
                 }
                 service.machine.stop().await;
                 drop(service);

@@ -1,11 +1,11 @@
 //! One accept loop for REST and gRPC: TCP connections, and in-memory ones from this process.
 
-use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use http::Request;
+use axum::body::Body;
+use http::{Request, Response};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
 use hyper_util::server::graceful::{GracefulShutdown, Watcher};
@@ -17,6 +17,7 @@ use tokio_util::sync::CancellationToken;
 use tower::ServiceExt as _;
 
 use crate::grpc::Local;
+use crate::pieces::Pieces;
 
 /// In flight on one HTTP/2 stream, bytes; the default caps a stream at its window over the round trip.
 pub const STREAM_WINDOW: u32 = 4 << 20;
@@ -24,6 +25,8 @@ pub const STREAM_WINDOW: u32 = 4 << 20;
 pub const CONNECTION_WINDOW: u32 = 16 << 20;
 /// One HTTP/2 frame, bytes: the default of 16 KiB costs a third of the speed.
 pub const FRAME: u32 = 1 << 20;
+/// Of one answer, what waits to be sent: a reader who stalls holds so much and what is read of its chunk, bytes.
+pub const SEND_BUFFER: usize = 128 << 10;
 /// Buffer of an in-memory connection, bytes.
 pub const LOCAL_BUFFER: usize = 1 << 20;
 
@@ -99,19 +102,19 @@ async fn answer(
             }
             let routes = routes.clone();
             async move {
-                Ok::<_, Infallible>(
-                    routes.oneshot(request.map(axum::body::Body::new)).await.unwrap_or_else(|e| match e {}),
-                )
+                let answer = routes.oneshot(request.map(Body::new)).await;
+                answer.map(|answer: Response<Body>| answer.map(Pieces::of))
             }
         }));
     let mut builder = Builder::new(TokioExecutor::new());
-    builder.http1().timer(TokioTimer::new()).header_read_timeout(HEADER_TIMEOUT);
+    builder.http1().timer(TokioTimer::new()).header_read_timeout(HEADER_TIMEOUT).max_buf_size(SEND_BUFFER);
     builder
         .http2()
         .timer(TokioTimer::new())
         .initial_stream_window_size(STREAM_WINDOW)
         .initial_connection_window_size(CONNECTION_WINDOW)
         .max_frame_size(FRAME)
+        .max_send_buf_size(SEND_BUFFER)
         .max_concurrent_streams(1000)
         .keep_alive_interval(Duration::from_secs(30))
         .keep_alive_timeout(Duration::from_secs(20));

@@ -144,7 +144,7 @@ impl Service {
             let mut table = CountsTable::new(means)?;
             for await chunk in chunks {
                 let bytes = chunk?.bytes.unwrap_or_default();
-                let chunk = tokio::task::spawn_blocking(move || read_counts(&bytes)).await??;
+                let chunk = self.unpack(bytes).await?;
                 for from in (0..chunk.counts.len()).step_by(CountsTable::ROWS) {
                     yield Bytes::from(table.push(&chunk, from)?);
                 }
@@ -226,6 +226,11 @@ impl Service {
 
     async fn read_chunk(&self, id: &str, frame: u32, tile: u32, digest: BlobDigest) -> Result<Chunk, Error> {
         let bytes = self.chunk_bytes(id, frame, tile, digest).await?;
+        self.unpack(bytes.into()).await
+    }
+
+    async fn unpack(&self, bytes: Bytes) -> Result<Chunk, Error> {
+        let _turn = self.unpacking.acquire().await.ok();
         Ok(tokio::task::spawn_blocking(move || read_counts(&bytes)).await??)
     }
 

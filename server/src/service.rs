@@ -6,6 +6,7 @@ use std::time::Duration;
 use futures::Stream;
 use photoneye_proto::{FieldError, v1};
 use photoneye_store::{BlobDigest, Blobs};
+use tokio::sync::Semaphore;
 
 use crate::access::{Access, Caller, Role};
 use crate::error::{Error, Kind};
@@ -67,6 +68,9 @@ impl Default for Limits {
     }
 }
 
+/// Chunks that are unpacked at the same time, at most.
+pub const UNPACKED: usize = 2;
+
 /// Events of one watcher, at most so often.
 const EVENT_PAUSE: Duration = Duration::from_millis(100);
 
@@ -86,6 +90,8 @@ pub struct Service {
     pub fleet: Fleet,
     /// Counters.
     pub metrics: Metrics,
+    /// Turns at unpacking a chunk: meanwhile it takes several times its size.
+    pub unpacking: Semaphore,
     /// The last plans.
     pub plans: Plans,
     /// How fast the machine is, for predictions.

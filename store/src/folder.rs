@@ -84,6 +84,20 @@ impl FolderStore {
         }
     }
 
+    /// Removes a blob if it was neither written nor read for so long; says whether it did.
+    ///
+    /// # Errors
+    /// When the file cannot be removed.
+    pub fn remove_unused(&self, digest: &BlobDigest, unused: Duration) -> Result<bool, StoreError> {
+        let modified = fs::metadata(self.path(digest)).and_then(|data| data.modified()).ok();
+        let age = modified.and_then(|time| SystemTime::now().duration_since(time).ok());
+        let old = age.is_some_and(|age| age >= unused);
+        if old {
+            self.remove(digest)?;
+        }
+        Ok(old)
+    }
+
     fn remove_stale(&self) {
         let Ok(entries) = fs::read_dir(self.root.join("tmp")) else {
             return;

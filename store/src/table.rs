@@ -358,8 +358,8 @@ pub struct CountsTable {
 }
 
 impl CountsTable {
-    /// Rows of one batch, at most: a reader that stalls holds one of them, and making it keeps nobody waiting.
-    pub const ROWS: usize = 1 << 16;
+    /// Rows of one batch, at most: a reader that stalls holds one of them (160 KB), and making it keeps nobody waiting.
+    pub const ROWS: usize = 1 << 13;
 
     /// Begins a table; `means` says whether counts are f32 means.
     ///

@@ -1,10 +1,15 @@
-//! kill -9 in the middle of a job: it goes on after a restart and ends with the result of a calm run.
+//! kill -9 in the middle of a job: it goes on after a restart, or when it is run again, and ends with the result of a calm run.
 
+use std::fs;
+use std::path::Path;
 use std::process::Stdio;
+use std::time::{Duration, Instant};
 
+use photoneye_store::table::read_counts;
+use photoneye_store::{Blobs as _, FolderStore};
 use tempfile::tempdir;
 
-use crate::support::{Server, photoneye, small_experiment};
+use crate::support::{PATIENCE, Server, photoneye, small_experiment, succeed, texts};
 
 const FRAMES: u32 = 400;
 
@@ -45,4 +50,61 @@ fn a_killed_worker_is_replaced() {
     second.kill().unwrap();
     second.wait().unwrap();
     assert_eq!(job["progress"]["shards_done"], job["progress"]["shards_total"]);
+}
+
+/// A `run` that was killed burdens no other run; the same one again goes on with the shards that were done.
+#[test]
+fn a_killed_run_is_gone_on_with_by_the_same_run_only() {
+    let place = tempdir().unwrap();
+    let write = |name: &str, frames| {
+        fs::write(place.path().join(name), small_experiment(frames).to_string()).unwrap();
+    };
+    write("long.json", FRAMES);
+    write("short.json", 1);
+    let run = |spec: &str, data: &str, out: &str| {
+        let mut command = photoneye(place.path());
+        command.args(["run", spec, "--data", data, "--out", out, "--workers", "1", "--pictures", "1"]);
+        command
+    };
+    let counts = |out: &str| fs::read(place.path().join(out).join("counts.npy")).unwrap();
+    // Nobody computes: what is there is looked at.
+    let jobs = || Server::start(place.path(), 0).get_json("/v1/jobs")["jobs"].as_array().unwrap().clone();
+    succeed(&mut run("long.json", "calm-data", "calm"));
+
+    let data = place.path().join("data");
+    let mut killed = run("long.json", "data", "killed").stderr(Stdio::null()).spawn().unwrap();
+    let started = Instant::now();
+    while frames_in(&data) < FRAMES as usize / 4 {
+        assert!(started.elapsed() < PATIENCE);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+
+    let output = run("short.json", "data", "short").output().unwrap();
+    let (out, err) = texts(&output);
+    assert!(output.status.success() && err.contains("the process that ran it ended"), "{out}\n{err}");
+    let [short, long] = &jobs()[..] else { panic!("two jobs") };
+    assert_eq!((&short["state"], &long["state"]), (&"SUCCEEDED".into(), &"CANCELLED".into()));
+    assert!(long["error"].as_str().unwrap().contains("run the same experiment again"), "{long}");
+    let done = long["progress"]["shards_done"].as_u64().unwrap();
+    assert!(done > 0 && done < long["progress"]["shards_total"].as_u64().unwrap(), "{long}");
+
+    let output = run("long.json", "data", "again").output().unwrap();
+    let (out, err) = texts(&output);
+    assert!(output.status.success() && !err.contains("ended before"), "{out}\n{err}");
+    assert!(counts("again") == counts("calm"));
+    let after = jobs();
+    assert_eq!((after.len(), &after[1]["id"], &after[1]["state"]), (2, &long["id"], &"SUCCEEDED".into()));
+    assert!(!place.path().join("killed").exists());
+}
+
+/// Result chunks in a data folder.
+fn frames_in(data: &Path) -> usize {
+    if !data.join("blobs").exists() {
+        return 0;
+    }
+    let store = FolderStore::open(data).unwrap();
+    let counts = |digest| store.get(&digest).is_ok_and(|bytes| read_counts(&bytes).is_ok());
+    store.list().into_iter().filter(|digest| counts(*digest)).count()
 }

@@ -9,7 +9,7 @@ use photoneye_proto::v1;
 use photoneye_proto::v1::experiments_server::Experiments;
 use tonic::{Request, Response, Status};
 
-use super::{caller, needed};
+use super::{Local, caller, needed};
 use crate::admit::Wish;
 use crate::service::Service;
 
@@ -31,10 +31,11 @@ impl Experiments for Door {
 
     async fn create_job(&self, request: Request<v1::CreateJobRequest>) -> Answer<v1::Job> {
         let caller = caller(&request)?;
+        let local = request.extensions().get::<Local>().is_some();
         let request = request.into_inner();
         let experiment = needed("experiment", request.experiment)?;
         let request_id = request.request_id.filter(|id| !id.is_empty());
-        let wish = Wish { request_id, priority: request.priority };
+        let wish = Wish { request_id, priority: request.priority, local };
         Ok(Response::new(self.0.create(&caller, &experiment, wish).await?.0))
     }
 

@@ -20,7 +20,7 @@ use crate::service::Service;
 /// Largest message, bytes.
 pub const MAX_MESSAGE: usize = 8 << 20;
 
-/// The request came over the in-memory connection, from a worker of this process.
+/// The request came over the in-memory connection, from this process.
 #[derive(Clone, Copy, Debug)]
 pub struct Local;
 

@@ -1,8 +1,9 @@
-//! A job is accepted: its rows, its texts, and the artifacts that are not known yet.
+//! A job is accepted: its rows, its texts, and the artifacts that are not known yet. Who ran the same in a process that is gone
+//! gets that job again, with what was done.
 
 use super::command::{NewArtifact, NewJob, Record, Reply, Row};
 use super::lease::{Lease, Phase};
-use super::state::{Artifact, Job, Shard, WorkId};
+use super::state::{Artifact, Job, JobState, Shard, WorkId};
 use super::step::Step;
 
 impl Step<'_> {
@@ -13,9 +14,64 @@ impl Step<'_> {
                 Some(_) => return Reply::OtherBody,
                 None => {}
             }
-            self.state.requests.insert(request.clone(), (new.id.clone(), body.clone()));
-            self.effects.rows.insert(Row::Request(request.clone()));
         }
+        let left_over = self.left_over(&new);
+        let id = left_over.clone().unwrap_or_else(|| new.id.clone());
+        if let Some((request, body)) = new.request.clone() {
+            self.state.requests.insert(request.clone(), (id.clone(), body));
+            self.effects.rows.insert(Row::Request(request));
+        }
+        self.effects.records.push(Record::Audit {
+            tenant: new.tenant.clone(),
+            who: new.by.clone(),
+            action: "create job",
+            object: id.clone(),
+        });
+        match left_over {
+            Some(_) => self.go_on(&id, new.artifacts),
+            None => self.begin(new),
+        }
+        Reply::Created(id, true)
+    }
+
+    /// The last local job for the same experiment, when it was cancelled and would be done in the same pieces.
+    fn left_over(&self, new: &NewJob) -> Option<String> {
+        let same = |job: &&Job| job.local && new.local && job.experiment_digest == new.experiment_digest;
+        let last = self.state.jobs.values().filter(same).max_by_key(|job| job.number)?;
+        let pieces = |shard: &Shard| (shard.first_frame, shard.frame_count, shard.tile);
+        let fits = last.state == JobState::Cancelled
+            && last.tenant == new.tenant
+            && last.tiles == new.tiles
+            && last.artifacts.iter().eq(new.artifacts.iter().map(|artifact| &artifact.key))
+            && last.shards.iter().map(pieces).eq(new.shards.iter().copied());
+        fits.then(|| last.id.clone())
+    }
+
+    /// Goes on with a cancelled job; what was done stays done.
+    fn go_on(&mut self, id: &str, artifacts: Vec<NewArtifact>) {
+        for artifact in artifacts {
+            self.add_artifact(artifact);
+        }
+        let Some(job) = self.state.jobs.get(id) else {
+            return;
+        };
+        let (pass_us, now_ms) = (self.least_pass(&job.tenant), self.now_ms);
+        let stopped = (0_u32..).zip(&job.shards).filter(|(_, shard)| shard.lease.phase != Phase::Done);
+        let stopped: Vec<WorkId> = stopped.map(|(n, _)| WorkId::Shard(id.to_owned(), n)).collect();
+        for shard in stopped {
+            self.change(&shard, Lease::renew);
+        }
+        self.change_job(id, |job| {
+            job.state = JobState::Queued;
+            job.error = None;
+            job.finished_ms = None;
+            job.created_ms = now_ms;
+            job.pass_us = pass_us;
+        });
+        self.state.activate(id);
+    }
+
+    fn begin(&mut self, new: NewJob) {
         let keys = new.artifacts.iter().map(|artifact| artifact.key.clone()).collect();
         for artifact in new.artifacts {
             self.add_artifact(artifact);
@@ -50,14 +106,9 @@ impl Step<'_> {
             pass_us: 0,
             shard_us: new.shard_us,
             version: 1,
+            local: new.local,
             ..Job::default()
         };
-        self.effects.records.push(Record::Audit {
-            tenant: job.tenant.clone(),
-            who: new.by,
-            action: "create job",
-            object: id.clone(),
-        });
         self.effects.rows.insert(Row::NewJob(id.clone()));
         self.state.next_number += 1;
         self.state.jobs.insert(id.clone(), Job { pass_us: self.least_pass(&job.tenant), ..job });
@@ -65,7 +116,6 @@ impl Step<'_> {
         for number in 0..new.shards.len() as u32 {
             self.change(&WorkId::Shard(id.clone(), number), |_| ());
         }
-        Reply::Created(id, true)
     }
 
     /// A new job is served like the one of its tenant that had least.

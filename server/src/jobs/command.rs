@@ -63,6 +63,8 @@ pub enum Command {
     },
     /// A user does not want a job any more.
     Cancel(String),
+    /// The server starts: who made local jobs before is gone.
+    Disown,
     /// Time has passed.
     Reap,
     /// An artifact's bytes are missing or damaged, and somebody wants them.
@@ -115,6 +117,8 @@ pub struct NewJob {
     pub priority: u8,
     /// Who sent it, for the audit.
     pub by: String,
+    /// Whether they live in this process and die with it.
+    pub local: bool,
 }
 
 /// A text under the hash of its content: jobs that share it, store it once.

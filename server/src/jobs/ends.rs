@@ -2,7 +2,7 @@
 
 use super::command::{Reply, Sweep};
 use super::lease::{Lease, MAX_LOSSES, Phase, Verdict};
-use super::state::{JobState, Shard, WorkId};
+use super::state::{JobState, ORPHAN, Shard, WorkId};
 use super::step::Step;
 
 impl Step<'_> {
@@ -54,6 +54,14 @@ impl Step<'_> {
             None => return Reply::NoSuchJob,
             Some(job) if job.state.active() => self.end(id, JobState::Cancelled, None),
             Some(_) => {}
+        }
+        Reply::Done
+    }
+
+    /// Nobody waits for the local jobs of an earlier process: it was killed, perhaps for the memory that they took.
+    pub(super) fn disown(&mut self) -> Reply {
+        for id in self.state.orphans() {
+            self.end(&id, JobState::Cancelled, Some(ORPHAN.into()));
         }
         Reply::Done
     }

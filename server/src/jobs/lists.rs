@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use serde_json::{Value, json};
 use sqlx::Row as _;
 
+use super::recall::list;
 use super::rows::job_from;
 use super::state::{Job, JobState};
 use super::store::{Documents, StoreError};
@@ -112,6 +113,24 @@ impl Documents {
         };
         let query = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM uploads WHERE digest = ?)");
         Ok(query.bind(digest.to_owned()).fetch_one(pool).await.map(|found: i64| found != 0)?)
+    }
+
+    /// Which of these digests anything names: a result, an artifact, an upload, or an alarm, whose bytes are both kept.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn named(&self, digests: &[String]) -> Result<BTreeSet<String>, StoreError> {
+        let Self::Sqlite(pool) = self else {
+            return Ok(digests.iter().cloned().collect());
+        };
+        let query = "SELECT value FROM json_each(?) WHERE
+             EXISTS (SELECT 1 FROM chunks WHERE digest = value)
+             OR EXISTS (SELECT 1 FROM artifacts WHERE digest = value)
+             OR EXISTS (SELECT 1 FROM uploads WHERE digest = value)
+             OR value IN (SELECT previous FROM artifacts WHERE previous IS NOT NULL)
+             OR value IN (SELECT first FROM alarms UNION ALL SELECT second FROM alarms)";
+        let found: Vec<String> = sqlx::query_scalar(query).bind(list(digests)?).fetch_all(pool).await?;
+        Ok(found.into_iter().collect())
     }
 
     /// All API keys, revoked ones too.

@@ -190,6 +190,7 @@ impl Kind {
             | Command::Fail { .. }
             | Command::Release { .. }
             | Command::Cancel(_)
+            | Command::Disown
             | Command::LostArtifact(_)
             | Command::LostChunk(..) => Self::Other,
         }
@@ -230,8 +231,11 @@ impl Shared {
 
     /// Repeats a batch on the readers' copy.
     fn repeat(&self, store: &dyn JobStore, recalled: Recalled, commands: Vec<Command>, now_ms: u64) {
-        // Lost results bring an old job back to work; an old one may be deleted.
-        let changed = |command: &Command| matches!(command, Command::LostChunk(..) | Command::Sweep(_));
+        // Lost results and who asks again bring an old job back to work; an old one may be deleted.
+        let changed = |command: &Command| match command {
+            Command::Create(new) => new.local,
+            other => matches!(other, Command::LostChunk(..) | Command::Sweep(_)),
+        };
         let changed = commands.iter().any(changed);
         {
             let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);

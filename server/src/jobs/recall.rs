@@ -61,16 +61,22 @@ pub(super) async fn commands(
     state: &State,
     commands: &[Command],
 ) -> Result<Recalled, StoreError> {
-    let (mut keys, mut ids, mut jobs) = (Vec::new(), Vec::new(), BTreeSet::new());
+    let (mut keys, mut ids, mut jobs) = (Vec::new(), Vec::new(), BTreeSet::<String>::new());
     for command in commands {
         match command {
             Command::Create(new) => {
                 let id = new.request.iter().map(|(id, _)| id);
                 ids.extend(id.filter(|id| !state.requests.contains_key(*id)));
                 keys.extend(new.artifacts.iter().map(|artifact| artifact.key.clone()));
+                if new.local {
+                    let query = sqlx::query_scalar(
+                        "SELECT id FROM jobs WHERE local = 1 AND experiment_digest = ? ORDER BY number DESC LIMIT 1",
+                    );
+                    jobs.extend(query.bind(new.experiment_digest.clone()).fetch_optional(&mut *db).await?);
+                }
             }
             Command::Cancel(job) | Command::LostChunk(job, ..) => {
-                jobs.insert(job.as_str());
+                jobs.insert(job.clone());
             }
             Command::LostArtifact(key) => keys.push(key.clone()),
             Command::Lease { .. }
@@ -78,6 +84,7 @@ pub(super) async fn commands(
             | Command::Commit { .. }
             | Command::Fail { .. }
             | Command::Release { .. }
+            | Command::Disown
             | Command::Reap
             | Command::Note(_)
             | Command::Sweep(_) => {}
@@ -89,7 +96,7 @@ pub(super) async fn commands(
         recalled.requests = sqlx::query_as(query).bind(list(&ids)?).fetch_all(&mut *db).await?;
     }
     for id in jobs {
-        let found = job(db, state, id).await?;
+        let found = job(db, state, &id).await?;
         recalled.jobs.extend(found.jobs);
         recalled.artifacts.extend(found.artifacts);
     }

@@ -55,6 +55,7 @@ pub(super) fn job_from(row: &SqliteRow) -> Result<Job, StoreError> {
         priority: row.try_get("priority")?,
         shard_count: row.try_get("shard_count")?,
         cones: row.try_get::<Option<i64>, _>("cones")?.map(|cones| cones as u64),
+        local: row.try_get("local")?,
         ..Job::default()
     })
 }

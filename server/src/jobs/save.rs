@@ -132,6 +132,7 @@ fn new_job(job: &Job) -> Value {
         "tenant": job.tenant,
         "priority": job.priority,
         "shard_count": job.shard_count,
+        "local": job.local,
     })
 }
 
@@ -139,6 +140,7 @@ fn job(job: &Job) -> Value {
     json!({
         "id": job.id,
         "state": number_of(&JobState::ALL, &job.state),
+        "created_ms": signed(job.created_ms),
         "finished_ms": job.finished_ms.map(signed),
         "error": job.error,
         "result_digest": job.result_digest,

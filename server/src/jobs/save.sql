@@ -7,15 +7,16 @@ SELECT NULL AS new_jobs, NULL AS jobs, NULL AS artifacts, NULL AS shards, NULL A
 CREATE TEMP TRIGGER save INSTEAD OF INSERT ON batch BEGIN
 
 INSERT INTO jobs (id, number, state, experiment_digest, experiment_text, plan_text, created_ms, finished_ms, frames, artifacts,
-                  tiles, error, result_digest, version, pass_us, shard_us, tenant, priority, shard_count)
+                  tiles, error, result_digest, version, pass_us, shard_us, tenant, priority, shard_count, local)
 SELECT value ->> 'id', value ->> 'number', value ->> 'state', value ->> 'experiment_digest', value ->> 'experiment_text',
        value ->> 'plan_text', value ->> 'created_ms', value ->> 'finished_ms', value ->> 'frames', value -> 'artifacts',
        value -> 'tiles', value ->> 'error', value ->> 'result_digest', value ->> 'version', value ->> 'pass_us',
-       value ->> 'shard_us', value ->> 'tenant', value ->> 'priority', value ->> 'shard_count'
+       value ->> 'shard_us', value ->> 'tenant', value ->> 'priority', value ->> 'shard_count',
+       value ->> 'local'
 FROM json_each(new.new_jobs);
 
 UPDATE jobs
-SET state = row.value ->> 'state', finished_ms = row.value ->> 'finished_ms', error = row.value ->> 'error',
+SET state = row.value ->> 'state', created_ms = row.value ->> 'created_ms', finished_ms = row.value ->> 'finished_ms', error = row.value ->> 'error',
     result_digest = row.value ->> 'result_digest', version = row.value ->> 'version', pass_us = row.value ->> 'pass_us',
     cones = row.value ->> 'cones'
 FROM json_each(new.jobs) AS row WHERE jobs.id = row.value ->> 'id';

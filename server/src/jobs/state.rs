@@ -12,6 +12,10 @@ use serde::{Deserialize, Serialize};
 
 use super::lease::{Lease, Phase};
 
+/// Why a local job of an earlier process was cancelled.
+pub const ORPHAN: &str =
+    "the process that ran it ended before it did; run the same experiment again to go on with it";
+
 /// Where a job stands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum JobState {
@@ -87,6 +91,8 @@ pub struct Job {
     pub pass_us: u64,
     /// Predicted work of one shard, microseconds.
     pub shard_us: u64,
+    /// Whether whoever made it lives in this process and dies with it.
+    pub local: bool,
     /// What a worker said last. Not stored.
     pub stage: String,
     /// Open shards by tile. Not stored: follows from the shards.
@@ -310,6 +316,12 @@ impl State {
             next += cones;
         }
         (firsts, Some(next))
+    }
+
+    /// Local jobs that are not finished: orphans, when the process has just started.
+    pub fn orphans(&self) -> Vec<String> {
+        let local = |id: &&String| self.jobs.get(*id).is_some_and(|job| job.local);
+        self.active.iter().filter(local).cloned().collect()
     }
 
     /// Active jobs that need an artifact.

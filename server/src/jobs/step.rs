@@ -34,6 +34,7 @@ pub fn step(state: &mut State, command: Command, now_ms: u64) -> (Reply, Effects
             Reply::Held(held)
         }
         Command::Cancel(job) => step.cancel(&job),
+        Command::Disown => step.disown(),
         Command::Reap => step.reap(),
         Command::LostArtifact(key) => step.lost_artifact(key),
         Command::LostChunk(job, frame, tile) => step.lost_chunk(&job, frame, tile),

@@ -52,7 +52,7 @@ pub(super) async fn create(
     });
     let priority =
         query.priority.map(|text| text.parse().map_err(|_| FieldError::new("priority", "is not a number")));
-    let wish = Wish { request_id: key.transpose()?, priority: priority.transpose()? };
+    let wish = Wish { request_id: key.transpose()?, priority: priority.transpose()?, local: false };
     let (job, new) = service.create(&caller, &experiment, wish).await?;
     let place = [(header::LOCATION, format!("/v1/jobs/{}", job.id()))];
     let status = if new { StatusCode::CREATED } else { StatusCode::OK };

@@ -1,82 +1,12 @@
-//! The job machine: whatever happens, in memory and in SQLite the same, and only the holder of a lease writes.
+//! The steps of the machine: what becomes of jobs, leases, failures and lost bytes.
 
 use std::collections::BTreeSet;
 
-use photoneye_server::jobs::clock::Clock;
-use photoneye_server::jobs::memory::MemoryStore;
-use photoneye_server::jobs::sqlite::SqliteStore;
-use photoneye_server::jobs::state::{Summary, WorkId};
-use photoneye_server::jobs::{
-    Command, Commit, JobState, JobStore, Machine, NewArtifact, NewJob, Phase, Record, Reply, State, Sweep,
-    Text, lease, step,
-};
+use photoneye_server::jobs::state::{ORPHAN, WorkId};
+use photoneye_server::jobs::{Command, Commit, JobState, NewJob, Phase, Record, Reply, State, lease, step};
 use photoneye_store::BlobDigest;
-use proptest::prelude::*;
 
-/// A job: two tiles whose cones are both made from one mosaic tile, one kernel, two shards a tile.
-fn job(id: &str, request: Option<(String, String)>) -> NewJob {
-    let artifact = |key: &str, inputs: &[&str]| NewArtifact {
-        key: key.into(),
-        kind: "kind".into(),
-        spec_json: "{}".into(),
-        inputs: inputs.iter().map(ToString::to_string).collect(),
-        predicted_us: 1000,
-    };
-    NewJob {
-        id: id.into(),
-        experiment_digest: "e".into(),
-        experiment: Text::of("{}"),
-        plan: Text::of("{}"),
-        frames: 4,
-        artifacts: vec![
-            artifact("mosaic", &[]),
-            artifact("cones0", &["mosaic"]),
-            artifact("cones1", &["mosaic"]),
-            artifact("kernel", &[]),
-        ],
-        tiles: vec![vec!["cones0".into(), "kernel".into()], vec!["cones1".into(), "kernel".into()]],
-        shards: vec![(0, 2, 0), (0, 2, 1), (2, 2, 0), (2, 2, 1)],
-        shard_us: 500,
-        request,
-        tenant: "local".into(),
-        priority: 5,
-        by: "test".into(),
-    }
-}
-
-fn create(id: &str) -> Command {
-    Command::Create(Box::new(job(id, None)))
-}
-
-fn take(worker: &str) -> Command {
-    Command::Lease { most: usize::MAX, worker: worker.into(), local: false, holds: BTreeSet::new() }
-}
-
-/// The right commit for a piece of work; `salt` stands for what the computation gave.
-fn commit(state: &State, id: WorkId, fence: u64, salt: u32) -> Command {
-    let commit = match &id {
-        WorkId::Build(key) => Commit::Artifact { digest: BlobDigest::of(key.as_bytes()), cones: Some(10) },
-        WorkId::Shard(job, number) => {
-            let shard = &state.jobs[job].shards[*number as usize];
-            let frames = shard.first_frame..shard.first_frame + shard.frame_count;
-            let digest = |frame| BlobDigest::of(format!("{frame} {} {salt}", shard.tile).as_bytes());
-            Commit::Shard(frames.map(|frame| (frame, digest(frame), Summary::default())).collect())
-        }
-    };
-    Command::Commit { id, fence, commit, report_json: Some("{}".into()) }
-}
-
-/// Runs everything that there is to do.
-fn drain(state: &mut State) -> usize {
-    for done in 0.. {
-        let Reply::Leased(Some((id, fence))) = step(state, take("w"), 0).0 else {
-            return done;
-        };
-        let command = commit(state, id, fence, 0);
-        assert_eq!(step(state, command, 0).0, Reply::Held(true));
-    }
-    unreachable!()
-}
+use crate::common::{commit, create, create_local, drain, job, take};
 
 #[test]
 fn a_job_runs_to_its_end_and_shares_its_artifacts() {
@@ -235,8 +165,6 @@ fn another_artifact_under_the_same_key_raises_the_alarm() {
         if *first == BlobDigest::of(b"kernel") && *second == BlobDigest::of(b"other")));
 }
 
-const HOUR_MS: i64 = 3_600_000;
-
 #[test]
 fn a_tenant_holds_no_more_leases_than_it_may() {
     let mut state = State::default();
@@ -266,363 +194,55 @@ fn a_tenant_holds_no_more_leases_than_it_may() {
     assert_eq!(state.holding["loud"], 2);
 }
 
-/// The readers' copy says what the database says, for jobs at hand, forgotten ones, and one that came back to work.
-#[tokio::test]
-async fn readers_see_what_is_stored() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("jobs.db");
-    let store = SqliteStore::open(&file, 0).await.unwrap().keep(1);
-    let machine = Machine::new(store, Clock::new());
-    let work = async || {
-        while let Reply::Leased(Some((id, fence))) = machine.execute(take("w")).await.unwrap() {
-            let command = machine.read(|state| commit(state, id, fence, 0));
-            assert_eq!(machine.execute(command).await.unwrap(), Reply::Held(true));
-        }
-    };
-    let ids: Vec<String> = (0..8).map(|number| format!("job {number}")).collect();
-    for id in &ids {
-        machine.execute(create(id)).await.unwrap();
-        if id == "job 5" {
-            machine.execute(take("gone")).await.unwrap();
-            machine.execute(Command::Cancel(id.clone())).await.unwrap();
-        }
-        work().await;
+/// A job that was run in a process that is gone is over; who asks for the same gets it again, with what was done.
+#[test]
+fn a_local_job_ends_with_its_process_and_goes_on_when_asked_for_again() {
+    let mut calm = State::default();
+    step(&mut calm, create("calm"), 0);
+    drain(&mut calm);
+
+    let mut state = State::default();
+    step(&mut state, create_local("mine"), 0);
+    step(&mut state, create("queued"), 0);
+    // All builds and three of the shards, one of them of the job that stays.
+    for _ in 0..4 + 3 {
+        let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).0 else { panic!() };
+        let command = commit(&state, id, fence, 0);
+        step(&mut state, command, 0);
     }
-    assert!(machine.read(|state| !state.jobs.contains_key("job 0")), "forgotten");
-    // Read before, so that the readers remember it as it was.
-    let lost = || machine.read_job("job 0", |state| state.jobs["job 0"].state);
-    assert_eq!(lost().await.unwrap(), JobState::Succeeded);
-    machine.execute(Command::LostChunk("job 0".into(), 3, 1)).await.unwrap();
-    assert_eq!(lost().await.unwrap(), JobState::Running);
-    work().await;
-    machine.execute(create("at work")).await.unwrap();
-    machine.execute(take("w")).await.unwrap();
+    let Reply::Leased(Some((id, fence))) = step(&mut state, take("w"), 0).0 else { panic!() };
+    let done = state.jobs["mine"].chunks.clone();
+    assert!(!done.is_empty() && done.len() < 8, "{}", done.len());
 
-    let mut stored = SqliteStore::open(&file, 0).await.unwrap();
-    for id in ids.iter().map(String::as_str).chain(["at work"]) {
-        stored.recall_job(id).await.unwrap();
-        let read = machine.read_job(id, |state| state.jobs[id].clone()).await.unwrap();
-        let [read, stored] = [read, stored.state().jobs[id].clone()].map(|mut job| {
-            job.open.retain(|_, shards| !shards.is_empty());
-            job.shards.iter_mut().for_each(|shard| shard.lease.expires_ms = 0);
-            job
-        });
-        assert_eq!(read, stored);
+    step(&mut state, Command::Disown, 1000);
+    let mine = &state.jobs["mine"];
+    assert_eq!((mine.state, mine.error.as_deref()), (JobState::Cancelled, Some(ORPHAN)));
+    assert!(state.jobs["queued"].state.active());
+    if matches!(&id, WorkId::Shard(job, _) if job == "mine") {
+        let late = commit(&state, id, fence, 0);
+        assert_eq!(step(&mut state, late, 1000).0, Reply::Held(false));
     }
-    assert!(machine.read_job("no such job", |state| state.jobs.is_empty()).await.unwrap());
-}
 
-/// The clock of a server that was away is an hour behind or before: who holds a lease keeps it, who vanished loses it after one
-/// term, and nothing is doubled.
-#[tokio::test]
-async fn a_clock_that_jumps_moves_no_lease() {
-    for jump in [-HOUR_MS, HOUR_MS] {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("jobs.db");
-        let before = 1000 * HOUR_MS as u64;
-        let mut store = SqliteStore::open(&file, before).await.unwrap();
-        store.execute(create("a"), before).await.unwrap();
-        let mut leases = Vec::new();
-        for worker in ["stays", "vanishes"] {
-            let Reply::Leased(Some(lease)) = store.execute(take(worker), before).await.unwrap() else {
-                panic!()
-            };
-            leases.push(lease);
-        }
-        drop(store);
-        let after = before.saturating_add_signed(jump);
-        let mut store = SqliteStore::open(&file, after).await.unwrap();
-        store.execute(Command::Reap, after + lease::TTL_MS - 1).await.unwrap();
-        let (id, fence) = leases[0].clone();
-        let command = commit(store.state(), id, fence, 0);
-        assert_eq!(store.execute(command.clone(), after).await.unwrap(), Reply::Held(true), "{jump}");
-        assert_eq!(store.execute(command, after).await.unwrap(), Reply::Held(false), "{jump}: twice");
-        store.execute(Command::Reap, after + lease::TTL_MS).await.unwrap();
-        let (id, fence) = leases[1].clone();
-        let command = commit(store.state(), id, fence, 0);
-        assert_eq!(store.execute(command, after).await.unwrap(), Reply::Held(false), "{jump}");
-        while let Reply::Leased(Some((id, fence))) = store.execute(take("w"), after).await.unwrap() {
-            let command = commit(store.state(), id, fence, 0);
-            store.execute(command, after).await.unwrap();
-        }
-        let job = &store.state().jobs["a"];
-        assert_eq!((job.state, job.chunks.len()), (JobState::Succeeded, 8));
+    // Another experiment, other pieces, or somebody outside: a job of its own.
+    let new = |id: &str| NewJob { local: true, ..job(id, None) };
+    for (other, id) in [
+        (NewJob { experiment_digest: "other".into(), ..new("a") }, "a"),
+        (NewJob { shards: vec![(0, 4, 0), (0, 4, 1)], ..new("b") }, "b"),
+        (job("c", None), "c"),
+    ] {
+        let reply = step(&mut state.clone(), Command::Create(Box::new(other)), 2000).0;
+        assert_eq!(reply, Reply::Created(id.into(), true));
     }
-}
-
-/// Tables do not grow without bound: what belongs to jobs that are over goes with them, the rest stays.
-#[tokio::test]
-async fn what_is_over_for_long_is_deleted() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("jobs.db");
-    let mut store = SqliteStore::open(&file, 0).await.unwrap().keep(2);
-    for number in 0..20_u64 {
-        let mut new = job(&format!("job {number}"), Some((format!("request {number}"), "body".into())));
-        new.experiment = Text::of(format!("experiment {number}"));
-        new.artifacts[3].key = format!("kernel {number}");
-        new.tiles.iter_mut().for_each(|tile| tile[1] = format!("kernel {number}"));
-        store.execute(Command::Create(Box::new(new)), 1000 * number).await.unwrap();
-        while let Reply::Leased(Some((id, fence))) = store.execute(take("w"), 1000 * number).await.unwrap() {
-            let command = commit(store.state(), id, fence, 0);
-            store.execute(command, 1000 * number).await.unwrap();
-        }
-    }
-    store.execute(create("at work"), 0).await.unwrap();
-    let mut db = photoneye_server::jobs::sqlite::connect(&file).await.unwrap();
-    let mut counts = async || -> Vec<i64> {
-        let mut counts = Vec::new();
-        for query in [
-            "SELECT count(*) FROM jobs",
-            "SELECT count(*) FROM shards",
-            "SELECT count(*) FROM chunks",
-            "SELECT count(*) FROM requests",
-            "SELECT count(*) FROM artifacts",
-            "SELECT count(*) FROM audit",
-            "SELECT count(*) FROM documents",
-        ] {
-            counts.push(sqlx::query_scalar(query).fetch_one(&mut db).await.unwrap());
-        }
-        counts
-    };
-    // Per job four shards of two chunks, a kernel, an experiment and five reports; mosaic and cones belong to
-    // all, and one text is the plan of all and the last one's experiment.
-    let shared = |jobs: i64| 3 + 3 + 1 + jobs * (1 + 1 + 1 + 4) + 1;
-    assert_eq!(counts().await, [21, 84, 160, 20, 3 + 20 + 1, 21, shared(20)]);
-    let mut sweep = async |before_ms, kept_jobs, kept_audit| {
-        let sweep = Command::Sweep(Sweep { before_ms, kept_jobs, kept_audit });
-        assert_eq!(store.execute(sweep, 0).await.unwrap(), Reply::Done);
-        assert_eq!(store.state().check(), Ok(()));
-    };
-    sweep(0, u64::MAX, u64::MAX).await;
-    assert_eq!(counts().await[0], 21, "nothing is over");
-    // By number: of 21 jobs the last 11.
-    sweep(0, 11, 15).await;
-    assert_eq!(counts().await, [11, 44, 80, 10, 3 + 10 + 1, 15, shared(10)]);
-    // By age: those that ended before second 15, and all records are younger.
-    sweep(15_000, u64::MAX, u64::MAX).await;
-    assert_eq!(counts().await, [6, 24, 40, 5, 3 + 5 + 1, 5, shared(5)]);
-    // What is at work stays in any case.
-    sweep(u64::MAX / 2, 0, 0).await;
-    assert_eq!(counts().await, [1, 4, 0, 0, 4, 0, shared(0)]);
-}
-
-/// What a random caller does; numbers choose among what there is.
-#[derive(Clone, Debug)]
-enum Deed {
-    Create(u8),
-    Take,
-    Commit { which: usize, salt: u32, stale: bool },
-    Fail { which: usize, deterministic: bool },
-    Release(usize),
-    Beat(usize),
-    Cancel(u8),
-    Wait(u64),
-    LostArtifact(u8),
-    LostChunk(u8, u32, u32),
-    Sweep(u64, u64),
-    Jump(i64),
-    Restart,
-}
-
-fn deed() -> impl Strategy<Value = Deed> {
-    prop_oneof![
-        2 => (0..6_u8).prop_map(Deed::Create),
-        12 => Just(Deed::Take),
-        10 => (0..4_usize, 0..20_u32, any::<bool>()).prop_map(|(which, salt, stale)| {
-            Deed::Commit { which, salt: u32::from(salt == 0), stale: stale && salt < 5 }
-        }),
-        1 => (0..4_usize, 0..8_u8).prop_map(|(which, d)| Deed::Fail { which, deterministic: d == 0 }),
-        1 => (0..4_usize).prop_map(Deed::Release),
-        1 => (0..4_usize).prop_map(Deed::Beat),
-        1 => (0..6_u8).prop_map(Deed::Cancel),
-        2 => (0..2 * lease::TTL_MS).prop_map(Deed::Wait),
-        1 => (0..4_u8).prop_map(Deed::LostArtifact),
-        1 => (0..6_u8, 0..5_u32, 0..3_u32).prop_map(|(j, f, t)| Deed::LostChunk(j, f, t)),
-        1 => (0..2 * lease::TTL_MS, 0..8_u64).prop_map(|(age, jobs)| Deed::Sweep(age, jobs)),
-        1 => (-HOUR_MS..HOUR_MS).prop_map(Deed::Jump),
-        1 => Just(Deed::Restart),
-    ]
-}
-
-/// The command of a deed in a state; `None` when there is nothing to do it to.
-fn command(deed: &Deed, state: &State, count: usize, now: u64) -> Option<Command> {
-    let held = |which: usize| {
-        let id = state.leased.iter().nth(which % state.leased.len().max(1))?.clone();
-        let fence = state.lease(&id)?.fence;
-        Some((id, fence))
-    };
-    Some(match deed {
-        Deed::Create(n) => {
-            let request = (*n < 3).then(|| (format!("request {n}"), format!("body {}", n % 2)));
-            let mut new = job(&format!("job {count}"), request);
-            new.tenant = ["a", "b"][usize::from(*n % 2)].into();
-            new.priority = 5 + n / 4;
-            Command::Create(Box::new(new))
-        }
-        Deed::Take => take("w"),
-        Deed::Commit { which, salt, stale } => {
-            let (id, fence) = held(*which)?;
-            commit(state, id, fence - u64::from(*stale), *salt)
-        }
-        Deed::Fail { which, deterministic } => {
-            let (id, fence) = held(*which)?;
-            Command::Fail { id, fence, message: "m".into(), deterministic: *deterministic }
-        }
-        Deed::Release(which) => {
-            let (id, fence) = held(*which)?;
-            Command::Release { id, fence }
-        }
-        Deed::Beat(which) => {
-            let (id, fence) = held(*which)?;
-            Command::Beat { id, fence, stage: "s".into() }
-        }
-        Deed::Cancel(n) => Command::Cancel(format!("job {n}")),
-        Deed::Wait(_) => Command::Reap,
-        Deed::LostArtifact(n) => {
-            Command::LostArtifact(["mosaic", "cones0", "cones1", "kernel"][*n as usize].into())
-        }
-        Deed::LostChunk(n, frame, tile) => Command::LostChunk(format!("job {n}"), *frame, *tile),
-        Deed::Sweep(age, kept_jobs) => {
-            let before_ms = now.saturating_sub(*age);
-            Command::Sweep(Sweep { before_ms, kept_jobs: *kept_jobs, kept_audit: 5 })
-        }
-        Deed::Jump(_) | Deed::Restart => return None,
-    })
-}
-
-/// What is not stored does not count.
-fn stored(state: &State) -> State {
-    let mut state = state.clone();
-    state.asked.clear();
-    state.requests.clear();
-    state.jobs.values_mut().for_each(|job| job.stage.clear());
-    state.index(0, false);
-    state.jobs.values_mut().for_each(|job| job.open.retain(|_, shards| !shards.is_empty()));
-    state
-}
-
-/// Memory knows everything; SQLite forgets what ended and finds it again.
-async fn assert_same(memory: &MemoryStore, sqlite: &mut SqliteStore) {
-    for id in memory.state().jobs.keys() {
-        sqlite.recall_job(id).await.unwrap();
-    }
-    let (mut a, b) = (stored(memory.state()), stored(sqlite.state()));
-    a.artifacts.retain(|key, _| b.artifacts.contains_key(key));
-    // Who has no job at work need not be known.
-    assert_eq!(a, b);
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
-
-    #[test]
-    fn memory_and_sqlite_agree(deeds in prop::collection::vec(deed(), 1..120), kept in 0..3_usize) {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        runtime.block_on(async {
-            // In memory where that can be had: what is tested is what is stored, not the disk.
-            let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
-            let file = folder.path().join("jobs.db");
-            let mut memory = MemoryStore::default();
-            let mut sqlite = SqliteStore::open(&file, 0).await.unwrap().keep(kept);
-            // Some hours after the beginning of time, so that it can go back.
-            let mut now = 1000 * HOUR_MS as u64;
-            for (count, deed) in deeds.iter().enumerate() {
-                if let Deed::Wait(ms) = deed {
-                    now += ms;
-                }
-                // A clock that jumps does so while the server is away: in a process it is monotonic.
-                if let Deed::Jump(ms) = deed {
-                    now = now.saturating_add_signed(*ms);
-                }
-                let Some(command) = command(deed, memory.state(), count, now) else {
-                    drop(sqlite);
-                    sqlite = SqliteStore::open(&file, now).await.unwrap().keep(kept);
-                    assert_same(&memory, &mut sqlite).await;
-                    // The restart gave new terms and forgot who asked; let both begin from there.
-                    let mut state = memory.state().clone();
-                    state.asked.clear();
-                    state.jobs.values_mut().for_each(|job| job.stage.clear());
-                    state.index(now, true);
-                    memory = MemoryStore::of(state);
-                    continue;
-                };
-                let a = memory.execute(command.clone(), now).await.unwrap();
-                let b = sqlite.execute(command, now).await.unwrap();
-                assert_eq!(a, b);
-                assert_eq!(memory.state().check(), Ok(()));
-                assert_eq!(sqlite.state().check(), Ok(()));
-                assert!(sqlite.state().jobs.len() <= sqlite.state().active.len() + 2 * kept);
-            }
-            assert_same(&memory, &mut sqlite).await;
-        });
-    }
-}
-
-/// `cargo test --release -p photoneye-server --test jobs speed -- --ignored --nocapture`
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "a measurement"]
-async fn speed_of_lease_and_commit() {
-    let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
-    let mut store = SqliteStore::open(&folder.path().join("jobs.db"), 0).await.unwrap();
-    let mut long = job("a", None);
-    long.shards = (0..5000).map(|i| (2 * i, 2, 0)).collect();
-    store.execute(Command::Create(Box::new(long)), 0).await.unwrap();
-    let start = std::time::Instant::now();
-    let mut count = 0;
-    while let Reply::Leased(Some((id, fence))) = store.execute(take("w"), 0).await.unwrap() {
-        let command = commit(store.state(), id, fence, 0);
-        store.execute(command, 0).await.unwrap();
-        count += 1;
-    }
-    let rate = f64::from(count) / start.elapsed().as_secs_f64();
-    println!("{count} leases and commits, {rate:.0} per second by one worker, one after the other");
-    let start = std::time::Instant::now();
-    drop(store);
-    let store = SqliteStore::open(&folder.path().join("jobs.db"), 0).await.unwrap();
-    // A job that ended is not kept in memory.
-    println!("opened again in {:?}, {} jobs in memory", start.elapsed(), store.state().jobs.len());
-    drop(store);
-
-    let store = SqliteStore::open(&folder.path().join("many.db"), 0).await.unwrap();
-    let machine = std::sync::Arc::new(Machine::new(store, Clock::new()));
-    let mut long = job("a", None);
-    long.shards = (0..10_000).map(|i| (2 * i, 2, 0)).collect();
-    machine.execute(Command::Create(Box::new(long))).await.unwrap();
-    let start = std::time::Instant::now();
-    let work = |number: usize| {
-        let machine = std::sync::Arc::clone(&machine);
-        tokio::spawn(async move {
-            let mut count = 0;
-            loop {
-                match machine.execute(take(&format!("worker {number}"))).await.unwrap() {
-                    Reply::Leased(Some((id, fence))) => {
-                        let command = machine.read(|state| commit(state, id, fence, 0));
-                        machine.execute(command).await.unwrap();
-                        count += 1;
-                    }
-                    // What is built first is at work.
-                    _ if machine.read(|state| state.jobs["a"].state.active()) => {
-                        tokio::task::yield_now().await;
-                    }
-                    _ => return count,
-                }
-            }
-        })
-    };
-    let mut count = 0;
-    for worker in (0..16).map(work).collect::<Vec<_>>() {
-        count += worker.await.unwrap();
-    }
-    let rate = f64::from(count) / start.elapsed().as_secs_f64();
-    println!("{count} leases and commits, {rate:.0} per second by 16 workers");
-
-    // Thousands of jobs wait for builds that are at work.
-    let mut store = SqliteStore::open(&folder.path().join("waiting.db"), 0).await.unwrap();
-    for number in 0..5000 {
-        store.execute(create(&format!("job {number}")), 0).await.unwrap();
-    }
-    while let Reply::Leased(Some(_)) = store.execute(take("w"), 0).await.unwrap() {}
-    let start = std::time::Instant::now();
-    assert_eq!(store.execute(take("w"), 0).await.unwrap(), Reply::Leased(None));
-    println!("{:?} to find nothing to do among 5000 jobs", start.elapsed());
+    let reply = step(&mut state, create_local("again"), 2000).0;
+    assert_eq!(reply, Reply::Created("mine".into(), true));
+    assert!(state.jobs["mine"].state.active() && state.jobs["mine"].chunks == done);
+    assert_eq!((state.jobs["mine"].created_ms, &state.jobs["mine"].error), (2000, &None));
+    step(&mut state, Command::Reap, 2000 + lease::TTL_MS);
+    drain(&mut state);
+    let mine = &state.jobs["mine"];
+    assert_eq!(mine.result_digest, calm.jobs["calm"].result_digest);
+    // What was done kept its number.
+    assert!(done.iter().all(|(place, chunk)| mine.chunks[place].seq == chunk.seq));
+    // A job that succeeded is not gone on with.
+    assert_eq!(step(&mut state, create_local("next"), 3000).0, Reply::Created("next".into(), true));
 }

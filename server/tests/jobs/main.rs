@@ -6,5 +6,9 @@
     reason = "a test says by panicking what is wrong"
 )]
 
+mod common;
 mod machine;
 mod model;
+mod random;
+mod speed;
+mod stored;

@@ -1,10 +1,12 @@
-//! What a server does to itself over time: old jobs go, the clock may jump, and metrics tell.
+//! What a server does to itself over time: old jobs and their blobs go, the clock may jump, and metrics tell.
 
 use crate::common::{get, http, post, spec, start, work};
 use photoneye_proto::v1;
 use photoneye_proto::v1::workers_client::WorkersClient;
 use photoneye_server::jobs::clock::Clock;
 use photoneye_server::{Options, Server};
+use photoneye_store::table::read_counts;
+use photoneye_store::{BlobDigest, Blobs as _, FolderStore};
 
 const HOUR_MS: u64 = 3_600_000;
 
@@ -116,5 +118,56 @@ async fn workers_tell_what_their_caches_were_good_for() {
     for line in ["photoneye_worker_cache_hits_total 7", "photoneye_worker_cache_misses_total 1"] {
         assert!(text.lines().any(|one| one == line), "{line}: {text}");
     }
+    server.shutdown().await;
+}
+
+/// Jobs that are deleted take the results along that nothing else names; what is shared, uploaded or new stays.
+#[tokio::test]
+async fn blobs_that_only_deleted_jobs_named_are_removed() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = start(folder.path()).await;
+    http(server.local_addr(), "PUT", "/v1/blobs", &[], b"a picture").await;
+    // The first three frames are the same in both.
+    let mut long = spec();
+    long["frames"]["count"] = 5.into();
+    post(server.local_addr(), "/v1/jobs", &long).await;
+    work(&server.channel()).await;
+    let id = post(server.local_addr(), "/v1/jobs", &spec()).await.json()["id"].as_str().unwrap().to_owned();
+    work(&server.channel()).await;
+    let path = format!("/v1/jobs/{id}/counts.npy");
+    let counts = get(server.local_addr(), &path).await.body;
+    server.shutdown().await;
+
+    let store = FolderStore::open(folder.path()).unwrap();
+    // As a crash between rows and blobs leaves it, and a worker that never committed.
+    store.put(b"named by nothing").unwrap();
+    let before: Vec<(BlobDigest, Vec<u8>)> =
+        store.list().into_iter().map(|digest| (digest, store.get(&digest).unwrap())).collect();
+    let old = std::time::SystemTime::now() - std::time::Duration::from_hours(25);
+    for (digest, _) in &before {
+        std::fs::File::open(store.path(digest)).unwrap().set_modified(old).unwrap();
+    }
+    let new = store.put(b"on its way into a commit").unwrap();
+    let mut options = options(folder.path());
+    options.limits.kept_jobs = 1;
+    let server = Server::start(options).await.unwrap();
+    let gone = || before.iter().filter(|(digest, _)| !store.has(digest).unwrap()).collect::<Vec<_>>();
+    for _ in 0..500 {
+        if gone().len() >= 3 {
+            break;
+        }
+        tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+    }
+    let frames: Vec<Option<u32>> =
+        gone().iter().map(|(_, bytes)| read_counts(bytes).ok().map(|chunk| chunk.frame)).collect();
+    let count = |frame| frames.iter().filter(|one| **one == frame).count();
+    assert_eq!((frames.len(), count(Some(3)), count(Some(4)), count(None)), (3, 1, 1, 1), "{frames:?}");
+    assert!(store.has(&new).unwrap() && store.has(&BlobDigest::of(b"a picture")).unwrap());
+    assert!(get(server.local_addr(), &path).await.body == counts);
+    // Deleted results are made again by whoever asks again.
+    let id = post(server.local_addr(), "/v1/jobs", &long).await.json()["id"].as_str().unwrap().to_owned();
+    work(&server.channel()).await;
+    let job = get(server.local_addr(), &format!("/v1/jobs/{id}")).await.json();
+    assert_eq!(job["state"], "SUCCEEDED");
     server.shutdown().await;
 }
