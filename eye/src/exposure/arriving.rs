@@ -38,7 +38,6 @@ impl ConeSum {
                 for (cone, (own, weight)) in coefficients.iter().zip(weights).enumerate() {
                     stencils.add(cone, own[r] * weight, &mut grid, samples);
                 }
-                let grid: Vec<f32> = grid.into_iter().map(|weight| weight as f32).collect();
                 spectrum.of(&grid, band)
             })
             .collect();

@@ -141,16 +141,14 @@ impl Ledger {
     }
 
     /// Sums over pixels of their light alone, with the slant and with the slant and what the macula absorbs of a primary.
-    fn over_pixels(&self, light: &[f32], primary: usize) -> [f64; 3] {
+    fn over_pixels(&self, light: &[f64], primary: usize) -> [f64; 3] {
         let mut sums = [[0.0; LANES]; 3];
-        let lines = |values| <[f32]>::chunks(values, LANES);
-        for ((light, slant), macula) in lines(light).zip(lines(&self.slant)).zip(lines(&self.macula[primary]))
-        {
+        let tables = self.slant.chunks(LANES).zip(self.macula[primary].chunks(LANES));
+        for (light, (slant, macula)) in light.chunks(LANES).zip(tables) {
             for (lane, ((light, slant), macula)) in light.iter().zip(slant).zip(macula).enumerate() {
-                let [light, slant, macula] = [*light, *slant, *macula].map(f64::from);
                 sums[0][lane] += light;
-                sums[1][lane] += light * slant;
-                sums[2][lane] += light * macula;
+                sums[1][lane] += light * f64::from(*slant);
+                sums[2][lane] += light * f64::from(*macula);
             }
         }
         sums.map(|lanes| lanes.iter().sum())

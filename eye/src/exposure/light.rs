@@ -227,19 +227,17 @@ pub struct Window {
 
 impl Window {
     /// Rows of values, `[row][column]`; `fill` takes the first pixel of a row and its values.
-    fn rows(&self, mut fill: impl FnMut([u32; 2], &mut [f64])) -> Vec<f32> {
+    fn rows(&self, mut fill: impl FnMut([u32; 2], &mut [f64])) -> Vec<f64> {
         let [width, height] = self.size.map(|s| s as usize);
-        let mut values = Vec::with_capacity(width * height);
-        let mut line = vec![0.0; width];
-        for row in (self.first[1]..).take(height) {
-            fill([self.first[0], row], &mut line);
-            values.extend(line.iter().map(|value| *value as f32));
+        let mut values = vec![0.0; width * height];
+        for (row, line) in (self.first[1]..).zip(values.chunks_exact_mut(width.max(1))) {
+            fill([self.first[0], row], line);
         }
         values
     }
 
     /// [`light`] of its pixels.
-    pub fn light(&self, display: &Display, emitter: &Emitter, shows: Shows, shown: &Shown) -> Vec<f32> {
+    pub fn light(&self, display: &Display, emitter: &Emitter, shows: Shows, shown: &Shown) -> Vec<f64> {
         self.rows(|at, line| light_row(display, emitter, shows, shown, at, line))
     }
 
@@ -250,7 +248,7 @@ impl Window {
         emitter: &Emitter,
         courses: &[Course],
         shown: &Shown,
-    ) -> (f64, Vec<f32>) {
+    ) -> (f64, Vec<f64>) {
         let share = match courses {
             [Course { shows: Shows::Bit(_), .. }, .., black] => black.share(),
             [only] if only.shows == Shows::Now => only.share(),
@@ -356,7 +354,7 @@ mod tests {
     use super::*;
     use crate::display::{EmissionLaw, Panel, Transfer, Waveform, White};
 
-    /// Windows are their pixels, to the rounding of their numbers: continuous levels, steps, bit planes; now and before.
+    /// Windows are their pixels, bit for bit: continuous levels, steps, bit planes; now and before.
     #[test]
     fn light_of_a_window_is_that_of_its_pixels() {
         let rgb: Vec<f32> =
@@ -394,9 +392,9 @@ mod tests {
                     for (i, (made, whole)) in (0_u32..).zip(made.iter().zip(&whole)) {
                         let at = [2 + i % 4, 1 + i / 4];
                         let exact = light(&display, &emitter, course.shows, &shown, at);
-                        assert_eq!(made.to_bits(), (exact as f32).to_bits());
+                        assert_eq!(made.to_bits(), exact.to_bits());
                         let exact = frame_light(&display, &emitter, &courses, &shown, at);
-                        assert!((share * f64::from(*whole) - exact).abs() <= 6e-8 * exact);
+                        assert!((share * whole).to_bits() == exact.to_bits());
                     }
                 }
             }

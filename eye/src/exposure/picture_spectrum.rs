@@ -93,9 +93,9 @@ impl PictureSpectrum {
     }
 
     /// The spectrum of pixel values `[row][column]` at the kept frequencies, sum convention e^{-2πi}.
-    pub fn of<T: Real>(&self, light: &[f32], band: &Band) -> Vec<Complex<T>> {
+    pub fn of<T: Real>(&self, light: &[f64], band: &Band) -> Vec<Complex<T>> {
         let Some([across, down]) = &self.coarse else {
-            let light: Vec<T> = light.iter().map(|value| T::of(*value)).collect();
+            let light: Vec<T> = light.iter().map(|value| T::narrow(*value)).collect();
             let table = half_spectrum(&light, self.size, self.period, self.columns);
             return kept(&table, self.period, self.columns, band);
         };
@@ -116,7 +116,7 @@ impl PictureSpectrum {
 }
 
 /// Pixels put on a coarser grid, `[y][x]`.
-fn on_coarse_grid<T: Real>(light: &[f32], width: usize, [across, down]: [&Coarse; 2]) -> Vec<T> {
+fn on_coarse_grid<T: Real>(light: &[f64], width: usize, [across, down]: [&Coarse; 2]) -> Vec<T> {
     let (across, down) = (across.taps::<T>(LANES), down.taps::<T>(1));
     // The last samples' weights of 0 fall on what stands behind the line.
     let mut line = vec![T::zero(); width + LANES];
@@ -125,7 +125,7 @@ fn on_coarse_grid<T: Real>(light: &[f32], width: usize, [across, down]: [&Coarse
         line.fill(T::zero());
         let rows = light[first * width..(first + weights.len()) * width].chunks_exact(width.max(1));
         for (row, weight) in rows.zip(weights) {
-            line.iter_mut().zip(row).for_each(|(sum, value)| *sum = *sum + *weight * T::of(*value));
+            line.iter_mut().zip(row).for_each(|(sum, value)| *sum = *sum + *weight * T::narrow(*value));
         }
         grid.extend(across.iter().map(|(first, weights)| dot(weights, &line[*first..first + weights.len()])));
     }
@@ -226,7 +226,7 @@ mod tests {
             ([70, 41], [94, 62], [20, 16], 0.1, true),
             ([120, 41], [94, 62], [20, 16], 0.1, true),
         ] {
-            let light: Vec<f32> = (0..size[0] * size[1]).map(|i| ((i * 7919) % 13) as f32).collect();
+            let light: Vec<f64> = (0..size[0] * size[1]).map(|i| ((i * 7919) % 13) as f64).collect();
             let band = Band::new(period, samples, cycles);
             assert!(band.len > 10);
             let spectrum = |single: bool| PictureSpectrum::new(size, period, &band, single);
@@ -239,9 +239,9 @@ mod tests {
                     let (x, y) = ((at % size[0]) as f64, (at / size[0]) as f64);
                     let turns =
                         f64::from(nu[0]) * x / period[0] as f64 + f64::from(nu[1]) * y / period[1] as f64;
-                    exact += Complex64::from_polar(f64::from(*value), -TAU * turns);
+                    exact += Complex64::from_polar(*value, -TAU * turns);
                 }
-                let scale = light.iter().map(|l| f64::from(*l)).sum::<f64>();
+                let scale = light.iter().sum::<f64>();
                 assert!((wide[i] - exact).norm() < 1e-12 * scale, "{size:?} {nu:?}");
                 let narrow = Complex64::new(narrow[i].re.into(), narrow[i].im.into());
                 assert!((narrow - exact).norm() < 1e-6 * scale, "{size:?} {nu:?}");

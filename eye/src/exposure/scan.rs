@@ -52,7 +52,7 @@ pub fn layers(
                 if weight <= 0.0 {
                     return 0.0;
                 }
-                (weight * light(display, emitter, course.shows, shown, *at)) as f32
+                weight * light(display, emitter, course.shows, shown, *at)
             };
             let segments: Vec<Segment> =
                 course.segments(&projector.gaze, shown.index, frame_s, scene.tangent_per_px);

@@ -19,7 +19,7 @@ pub struct SourcePrimary {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
     /// Relative light of each pixel of the window, `[row][column]`.
-    pub light: Vec<f32>,
+    pub light: Vec<f64>,
     /// Mean photons into the pupil from a pixel whose light is 1, as if it were at the gaze centre.
     pub photons: f64,
     /// Where the line of sight is meanwhile.

@@ -184,7 +184,7 @@ impl Tail {
             for (row, line) in layer.light.chunks_exact(self.size_px[0]).enumerate() {
                 let blocks = &mut light[row / self.block_px * self.blocks[0]..][..self.blocks[0]];
                 for (block, part) in blocks.iter_mut().zip(line.chunks(self.block_px)) {
-                    *block += sent * part.iter().map(|light| f64::from(*light)).sum::<f64>();
+                    *block += sent * part.iter().sum::<f64>();
                 }
             }
         }

@@ -15,7 +15,7 @@ const BACK_MM: f64 = 25.0;
 /// A ray is aimed when it meets the stop this close to the wanted point, mm.
 pub(super) const TOLERANCE_MM: f64 = 1e-11;
 /// The same for rays inside the pupil, whose places in the stop are known as they are: only their weights ask for the wanted ones.
-pub(super) const NEAR_MM: f64 = 1e-8;
+pub(super) const NEAR_MM: f64 = 1e-10;
 /// By how much a step of Broyden's method shrinks a miss, about, once its slope is known.
 const GAIN: f64 = 1e3;
 /// Step of the finite differences, mm.

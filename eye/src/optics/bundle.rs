@@ -19,7 +19,7 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 use std::f64::consts::PI;
 
 /// How many wavelengths before are continued.
-const CONTINUED: usize = 2;
+const CONTINUED: usize = 3;
 
 /// How many rays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -88,6 +88,11 @@ fn sparse(experiment: &Experiment) -> f64 {
     (1.0 + SPARSE * (sparsity(experiment) - 1.0)).clamp(1.0, MOST_SPARSE)
 }
 
+/// Error of the low-rank basis.
+pub fn basis_part(experiment: &Experiment) -> f64 {
+    BASIS * Numerics::new(experiment).basis_tolerance
+}
+
 /// Error of the copies of the picture, after the tail's law.
 pub fn copies_part(experiment: &Experiment, tiles: &[PlannedTile]) -> f64 {
     let sum: f64 = tiles.iter().map(|t| copies(experiment, &t.scene)).sum();
@@ -110,7 +115,7 @@ pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wa
         part("wavelength steps", STEP_10_NM * steps * pupil),
         part("wavelengths left out", wavelengths.outside),
         part("field interpolation", field_part(tiles)),
-        part("low-rank kernels", BASIS * numerics.basis_tolerance),
+        part("low-rank kernels", basis_part(experiment)),
         part("period", copies_part(experiment, tiles)),
         part("band limit", if limited { BAND * band_bound(experiment) } else { 1e-7 }),
         part("grid", grid),

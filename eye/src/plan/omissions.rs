@@ -149,8 +149,10 @@ fn macula(look: &Look) -> Option<Omission> {
 
 fn unlit_primaries(look: &Look) -> Option<Omission> {
     let dark = lit::primaries(look.experiment).iter().filter(|lit| !**lit).count();
-    let why = format!("{dark} primaries are dark in the whole video");
-    (dark > 0).then(|| omission("optics of primaries that nothing lights", &why, 0.0))
+    let why =
+        format!("{dark} primaries are dark in the whole video; the low-rank basis is chosen without them");
+    let bound = error::basis_part(look.experiment);
+    (dark > 0).then(|| omission("optics of primaries that nothing lights", &why, bound))
 }
 
 fn repeated_frames(look: &Look) -> Option<Omission> {

@@ -95,7 +95,7 @@ impl Beyond {
 
 /// Light of a layer over the frame.
 fn sent(layer: &Layer) -> f64 {
-    layer.sent() * layer.light.iter().map(|light| f64::from(*light)).sum::<f64>()
+    layer.sent() * layer.light.iter().sum::<f64>()
 }
 
 /// The course of one of some layers, by their light.

@@ -200,7 +200,7 @@ impl Events {
         let bounds = sight.bounds();
         let block_of_light = Block::new(pixels.filter_map(|[column, row]| {
             let pixel = row * width + column;
-            let light = f64::from(layer.light[pixel]) * layer.photons * self.slant[pixel];
+            let light = layer.light[pixel] * layer.photons * self.slant[pixel];
             let corner = DVec2::new(column as f64, row as f64);
             (light > 0.0).then(|| (light, self.landing.patch(&self.scene, corner, bounds)))
         }));
