@@ -11,7 +11,8 @@
 //! 5e-4, 9 nodes ±30° to 6e-3 at 3 mm (tilt: 0.02 µm of place) and 11 nodes to 6e-4 at 8 mm; see the test.
 //!
 //! # Cost
-//! One [`Wavefront`] a node and traced wavelength: 10 for a polyline of three pieces, 9 for a smooth law; those of a node are one series.
+//! One [`Wavefront`] a node and traced wavelength: 10 for a polyline of three pieces, 9 for a smooth law, 7 for fields wider than ±5°; those of
+//! a node are one series.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -28,6 +29,14 @@ const MAGIC: &[u8] = b"PEwaves1";
 /// (see the test).
 const FIELDS: [(f64, [usize; 2]); 4] = [(2.5, [4, 4]), (5.0, [5, 5]), (12.0, [6, 6]), (30.0, [9, 11])];
 const NARROW_MM: f64 = 4.0;
+/// Fields with a larger half side have fewer wavelengths, degrees.
+const WIDE_DEG: f64 = 6.0;
+
+/// Wavelengths that are traced in a field.
+fn wavelengths(eye: &SchematicEye, half_tangent: f64, range_nm: [f64; 2]) -> WavelengthNodes {
+    let wide = half_tangent > WIDE_DEG.to_radians().tan();
+    if wide { WavelengthNodes::few(eye, range_nm) } else { WavelengthNodes::new(eye, range_nm) }
+}
 
 /// What the wavefronts of a whole field are made from: one table for an eye, its pupil, its focus and a distance of the screen.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,7 +69,8 @@ impl FieldTableSpec {
     pub fn traced(&self) -> Result<usize, OpticsError> {
         let eye = SchematicEye::new(&self.prescription, &self.state)?;
         let rows = if self.prescription.is_mirror_image() { self.nodes.div_ceil(2) } else { self.nodes };
-        Ok(rows * self.nodes * WavelengthNodes::new(&eye, [MIN_NM, MAX_NM]).nm().len())
+        let half = self.half_deg.to_radians().tan();
+        Ok(rows * self.nodes * wavelengths(&eye, half, [MIN_NM, MAX_NM]).nm().len())
     }
 
     /// Traces the table.
@@ -105,7 +115,8 @@ impl FieldTable {
         let eye = projection.eye();
         let xs = chebyshev(min.x, max.x, nodes[0].max(1));
         let ys = chebyshev(min.y, max.y, nodes[1].max(1));
-        let wavelengths = WavelengthNodes::new(eye, range_nm);
+        let half = 0.5 * (max - min).max_element();
+        let wavelengths = wavelengths(eye, half, range_nm);
         let mirrored = min.y.to_bits() == (-max.y).to_bits() && eye.prescription().is_mirror_image();
         let rows = if mirrored { ys.len().div_ceil(2) } else { ys.len() };
         let points: Vec<DVec2> =
