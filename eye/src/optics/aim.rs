@@ -13,9 +13,7 @@ use glam::{DMat2, DVec2, DVec3};
 /// Rays start this far before the entrance pupil, mm: outside of every eye.
 const BACK_MM: f64 = 25.0;
 /// A ray is aimed when it meets the stop this close to the wanted point, mm.
-pub(super) const TOLERANCE_MM: f64 = 1e-11;
-/// The same for rays inside the pupil, whose places in the stop are known as they are: only their weights ask for the wanted ones.
-pub(super) const NEAR_MM: f64 = 1e-10;
+const TOLERANCE_MM: f64 = 1e-11;
 /// By how much a step of Broyden's method shrinks a miss, about, once its slope is known.
 const GAIN: f64 = 1e3;
 /// Step of the finite differences, mm.
@@ -151,19 +149,19 @@ impl<'a> Aimer<'a> {
         Some(uv)
     }
 
-    /// The ray that meets the stop within `tolerance_mm` of `target`, by Broyden's method from a nearby launch point with its inverse
+    /// The ray that meets the stop at `target`, by Broyden's method from a nearby launch point with its inverse
     /// slope, which is improved on the way; by Newton's when that does not settle.
-    pub(super) fn near(&self, target: DVec2, start: Launch, tolerance_mm: f64) -> Option<Aimed> {
+    pub(super) fn near(&self, target: DVec2, start: Launch) -> Option<Aimed> {
         let mut launch = start;
         let mut miss = self.stop(launch.uv)? - target;
         for _ in 0..12 {
-            if miss.length() <= tolerance_mm {
+            if miss.length() <= TOLERANCE_MM {
                 return self.aimed(launch);
             }
             let step = -(launch.inverse * miss);
             launch.uv += step;
             // A miss shrinks by some thousand a step: the trace itself is the last check.
-            let traced = (miss.length() <= GAIN * tolerance_mm).then(|| self.aimed(launch)).flatten();
+            let traced = (miss.length() <= GAIN * TOLERANCE_MM).then(|| self.aimed(launch)).flatten();
             let Some(s) = traced.map(|aimed| aimed.stop).or_else(|| self.stop(launch.uv)) else { break };
             let change = (s - target) - miss;
             miss = s - target;
@@ -175,7 +173,7 @@ impl<'a> Aimer<'a> {
                 launch.inverse += DMat2::from_cols(error * row.x, error * row.y);
             }
             if let Some(aimed) = traced
-                && miss.length() <= tolerance_mm
+                && miss.length() <= TOLERANCE_MM
             {
                 return Some(Aimed { launch, ..aimed });
             }

@@ -8,7 +8,7 @@
 //!
 //! Nodes: Gauss–Legendre in r² times uniform azimuth; weights sum to π, the area of the unit stop.
 
-use super::aim::{Aimed, Aimer, Launch, NEAR_MM, TOLERANCE_MM};
+use super::aim::{Aimed, Aimer, Launch};
 use super::error::OpticsError;
 use super::object::Object;
 use super::schematic_eye::SchematicEye;
@@ -19,7 +19,7 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 use std::f64::consts::PI;
 
 /// How many wavelengths before are continued.
-const CONTINUED: usize = 3;
+const CONTINUED: usize = 2;
 
 /// How many rays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -188,8 +188,8 @@ impl PupilBundle {
         let inverse = aimer.slope(chief_uv).ok_or_else(lost)?.inverse();
         let tracer = Tracer { aimer, sphere, chief_path, start: Launch { uv: chief_uv, inverse } };
         let [inner, outer] = guess.map_or([None; 2], |[inner, outer]| [Some(&inner[..]), Some(&outer[..])]);
-        let (rays, inner) = tracer.rays(points, inner, NEAR_MM).ok_or_else(lost)?;
-        let (edge, outer) = tracer.rays(rim, outer, TOLERANCE_MM).ok_or_else(lost)?;
+        let (rays, inner) = tracer.rays(points, inner).ok_or_else(lost)?;
+        let (edge, outer) = tracer.rays(rim, outer).ok_or_else(lost)?;
         Ok(Self {
             chief,
             landing,
@@ -241,7 +241,6 @@ impl Tracer<'_> {
         &self,
         points: &[(DVec2, f64)],
         guess: Option<&[Launch]>,
-        tolerance_mm: f64,
     ) -> Option<(Vec<PupilRay>, Vec<Launch>)> {
         let radius = self.aimer.stop_radius_mm();
         let mut seed = (DVec2::ZERO, self.start);
@@ -256,7 +255,7 @@ impl Tracer<'_> {
                 let uv = seed.1.uv + seed.1.inverse * (target - seed.0);
                 Launch { uv, ..seed.1 }
             });
-            let aimed = self.aimer.near(target, start, tolerance_mm)?;
+            let aimed = self.aimer.near(target, start)?;
             seed = (target, aimed.launch);
             launches.push(aimed.launch);
             rays.push(self.ray(weight, &aimed)?);
