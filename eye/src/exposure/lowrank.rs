@@ -6,7 +6,7 @@
 //!
 //! Several sets (the types of cones) share one basis: each is compressed alone, finer than asked, and the few kernels that are left,
 //! each set at the same norm, are compressed together. What L, M and S cones see differs little more than in their weights of the
-//! primaries: 11 images instead of 18 on the scene of Figure 12 at 0.1 %, and those of one of them for light of one wavelength.
+//! primaries: 12 images instead of 18 on the scene of Figure 12 at 0.1 %, and those of one of them for light of one wavelength.
 
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;

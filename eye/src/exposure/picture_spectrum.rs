@@ -20,7 +20,7 @@ use super::spread::Spread;
 const OVERSAMPLING: f64 = 2.0;
 /// Widths of the spreading kernel that leave errors as small as those of the numbers, in single and in double precision.
 const WIDTHS: [usize; 2] = [8, 15];
-/// Coarse samples for a pixel, along each axis, up to which putting pixels on the coarser grid pays.
+/// Coarse samples for a pixel, along each axis, up to which pixels are put on the coarser grid: by the number of operations, not timed.
 const COARSE: f64 = 0.75;
 
 /// Sums that are kept side by side.
