@@ -10,6 +10,7 @@ mod waveform;
 
 use std::sync::OnceLock;
 
+use multiversion::multiversion;
 use serde::{Deserialize, Serialize};
 
 pub use emitter::{Emitter, PhotonSample, emitters, photon_shares, pupil_share, pupil_share_at};
@@ -71,6 +72,20 @@ pub enum Transfer {
 
 /// Pixel values of 8-bit pictures with their light.
 type Steps = [(f32, f64); 256];
+
+/// Looks up the light of pixel values; `false` where some are not those of an 8-bit picture.
+#[multiversion(targets("x86_64+avx2"))]
+fn look_up(steps: &Steps, values: &[f32], light: &mut [f64]) -> bool {
+    let mut others = 0;
+    for (light, value) in light.iter_mut().zip(values) {
+        // Rounded; never outside the table.
+        let step = (*value * 255.0 + 0.5).clamp(0.0, 255.0) as u8;
+        let (known, of_known) = steps[usize::from(step)];
+        others |= known.to_bits() ^ value.to_bits();
+        *light = of_known;
+    }
+    others == 0
+}
 
 impl Transfer {
     /// Relative light of a pixel value.
@@ -263,10 +278,15 @@ impl Display {
             }
             return;
         };
-        let (transfer, steps) = (self.transfer, self.transfer.steps());
-        for (light, rgb) in pixels {
-            *light = self.black + (1.0 - self.black) * transfer.light_of_pixel(steps, rgb[i]);
+        let (black, white) = (self.black, 1.0 - self.black);
+        let steps = self.transfer.steps();
+        let values: Vec<f32> = rgb.chunks_exact(3).take(light.len()).map(|rgb| rgb[i]).collect();
+        if !look_up(steps, &values, light) {
+            for (light, value) in light.iter_mut().zip(&values) {
+                *light = self.transfer.light_of_pixel(steps, *value);
+            }
         }
+        light.iter_mut().for_each(|light| *light = black + white * *light);
     }
 
     /// As [`Display::light`], above black.

@@ -5,12 +5,13 @@
 //! coefficients at the kept half of the frequencies, m = 2 but for ν = 0, Ŵ the transform of W: no image is made and no cone visited
 //! in any frame.
 
+use multiversion::multiversion;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 
-use super::expected::BasisKernel;
+use super::basis::BasisTable;
 use super::gather::Stencils;
-use super::grid::{Band, Planar, Real};
+use super::grid::{Band, Planar, Real, Run};
 use super::picture_spectrum::PictureSpectrum;
 
 /// Sums that are kept side by side, in a fixed order.
@@ -23,7 +24,7 @@ pub struct ConeSum(Vec<Planar<f32>>);
 impl ConeSum {
     /// The sum over cones with `weights[cone]`, given each cone's `coefficients[cone][r]` of the `basis`.
     pub fn new(
-        basis: &[BasisKernel],
+        basis: &BasisTable,
         coefficients: &[Vec<f64>],
         weights: &[f64],
         stencils: &Stencils,
@@ -31,7 +32,7 @@ impl ConeSum {
         samples: [usize; 2],
     ) -> Self {
         let spectrum = PictureSpectrum::new(samples, samples, band, false);
-        let spectra: Vec<Vec<Complex64>> = (0..basis.len())
+        let spectra: Vec<Vec<Complex64>> = (0..basis.images)
             .into_par_iter()
             .map(|r| {
                 let mut grid = vec![0.0; samples[0] * samples[1]];
@@ -41,14 +42,19 @@ impl ConeSum {
                 spectrum.of(&grid, band)
             })
             .collect();
-        let primaries = basis.first().map_or(0, Vec::len);
-        let by_primary = (0..primaries).map(|primary| {
-            let at = |(i, nu): (usize, [i32; 2])| {
-                let twice = if nu == [0, 0] { 1.0 } else { 2.0 };
-                let kernel = |r: usize| basis[r][primary].at(i);
-                twice * (0..basis.len()).map(|r| kernel(r).conj() * spectra[r][i]).sum::<Complex64>()
+        let by_primary = (0..basis.primaries).map(|primary| {
+            let of_run = |run: &Run| -> Vec<Complex64> {
+                let at = |i: usize| {
+                    let twice = if [run.x, run.y + i as i32] == [0, 0] { 1.0 } else { 2.0 };
+                    let of_image = |(image, spectrum): (usize, &Vec<Complex64>)| {
+                        let (re, im) = basis.of(run, image, primary);
+                        Complex64::new(f64::from(re[i]), -f64::from(im[i])) * spectrum[run.at + i]
+                    };
+                    twice * spectra.iter().enumerate().map(of_image).sum::<Complex64>()
+                };
+                (0..run.len).map(at).collect()
             };
-            Planar::new(band.iter().enumerate().map(at))
+            Planar::new(band.runs.iter().flat_map(of_run))
         });
         Self(by_primary.collect())
     }
@@ -63,12 +69,18 @@ impl ConeSum {
 }
 
 /// Sum of products.
+#[multiversion(targets("x86_64+avx2"))]
 fn dot<T: Real>(weights: &[f32], values: &[T]) -> f64 {
     let mut sums = [0.0; LANES];
-    for (weights, values) in weights.chunks(LANES).zip(values.chunks(LANES)) {
-        for ((sum, weight), value) in sums.iter_mut().zip(weights).zip(values) {
-            *sum += f64::from(*weight) * value.wide();
+    let ((weights, rest), (values, values_rest)) =
+        (weights.as_chunks::<LANES>(), values.as_chunks::<LANES>());
+    for (weights, values) in weights.iter().zip(values) {
+        for lane in 0..LANES {
+            sums[lane] += f64::from(weights[lane]) * values[lane].wide();
         }
+    }
+    for ((sum, weight), value) in sums.iter_mut().zip(rest).zip(values_rest) {
+        *sum += f64::from(*weight) * value.wide();
     }
     sums.iter().sum()
 }

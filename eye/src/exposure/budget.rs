@@ -5,6 +5,7 @@
 //! for the screen; the others move what their cones caught out of "between cones".
 
 use glam::DVec2;
+use multiversion::multiversion;
 
 use super::cones::{ConeTable, slant_factor};
 use super::expected::Means;
@@ -142,16 +143,7 @@ impl Ledger {
 
     /// Sums over pixels of their light alone, with the slant and with the slant and what the macula absorbs of a primary.
     fn over_pixels(&self, light: &[f64], primary: usize) -> [f64; 3] {
-        let mut sums = [[0.0; LANES]; 3];
-        let tables = self.slant.chunks(LANES).zip(self.macula[primary].chunks(LANES));
-        for (light, (slant, macula)) in light.chunks(LANES).zip(tables) {
-            for (lane, ((light, slant), macula)) in light.iter().zip(slant).zip(macula).enumerate() {
-                sums[0][lane] += light;
-                sums[1][lane] += light * f64::from(*slant);
-                sums[2][lane] += light * f64::from(*macula);
-            }
-        }
-        sums.map(|lanes| lanes.iter().sum())
+        sums(light, &self.slant, &self.macula[primary])
     }
 
     /// The budget of one frame; where its light is at hand as a `source` it need not be made again.
@@ -189,6 +181,28 @@ impl Ledger {
         budget.not_isomerized = absorbed - isomerized;
         budget
     }
+}
+
+/// Sums of the light alone and with each of two tables.
+#[multiversion(targets("x86_64+avx2"))]
+fn sums(light: &[f64], slant: &[f32], macula: &[f32]) -> [f64; 3] {
+    let mut sums = [[0.0; LANES]; 3];
+    let (whole, rest) = light.as_chunks::<LANES>();
+    let ((slant, slant_rest), (macula, macula_rest)) =
+        (slant.as_chunks::<LANES>(), macula.as_chunks::<LANES>());
+    for ((light, slant), macula) in whole.iter().zip(slant).zip(macula) {
+        for lane in 0..LANES {
+            sums[0][lane] += light[lane];
+            sums[1][lane] += light[lane] * f64::from(slant[lane]);
+            sums[2][lane] += light[lane] * f64::from(macula[lane]);
+        }
+    }
+    for (lane, ((light, slant), macula)) in rest.iter().zip(slant_rest).zip(macula_rest).enumerate() {
+        sums[0][lane] += light;
+        sums[1][lane] += light * f64::from(*slant);
+        sums[2][lane] += light * f64::from(*macula);
+    }
+    sums.map(|lanes| lanes.iter().sum())
 }
 
 /// Linear interpolation in equal steps over [0, 1]; the last value beyond.

@@ -5,8 +5,9 @@
 
 use std::f64::consts::{PI, TAU};
 
+use multiversion::multiversion;
 use rayon::prelude::*;
-use rustfft::num_complex::Complex64;
+use rustfft::num_complex::{Complex, Complex64};
 
 use super::grid::{Band, Planar, Real, Run};
 use super::light::Segment;
@@ -29,22 +30,38 @@ pub fn drive<T: Real>(
             moved.push((&layer.segments, movement(&layer.segments, scene, band)));
         }
     }
-    let add = |layer: &Layer, pixel: &[Complex64], sent: &mut Planar<T>| {
+    let add_layer = |layer: &Layer, pixel: &[Complex64], sent: &mut Planar<T>| {
         let light = pictures.of::<T>(&layer.light, band);
         let movement = moved.iter().find(|(segments, _)| *segments == layer.segments);
-        for (i, light) in light.into_iter().enumerate() {
-            let factor = movement.map_or(pixel[i], |(_, movement)| pixel[i] * movement[i]);
-            let (re, im) = (T::narrow(layer.photons * factor.re), T::narrow(layer.photons * factor.im));
-            sent.re[i] = sent.re[i] + (light.re * re - light.im * im);
-            sent.im[i] = sent.im[i] + (light.re * im + light.im * re);
+        match movement {
+            Some((_, movement)) => {
+                let factors = pixel.iter().zip(movement).map(|(pixel, movement)| pixel * movement);
+                add(sent, &light, factors, layer.photons);
+            }
+            None => add(sent, &light, pixel.iter().copied(), layer.photons),
         }
     };
     let of_primary = |(primary, pixel): (&super::source::SourcePrimary, &Vec<Complex64>)| {
         let mut sent = Planar::zeros(band.len);
-        primary.layers.iter().for_each(|layer| add(layer, pixel, &mut sent));
+        primary.layers.iter().for_each(|layer| add_layer(layer, pixel, &mut sent));
         sent
     };
     source.primaries.par_iter().zip(pixels).map(of_primary).collect()
+}
+
+/// Adds a layer's light times factors, times its photons.
+#[multiversion(targets("x86_64+avx2"))]
+fn add<T: Real>(
+    sent: &mut Planar<T>,
+    light: &[Complex<T>],
+    factors: impl Iterator<Item = Complex64>,
+    photons: f64,
+) {
+    for (((light, factor), to_re), to_im) in light.iter().zip(factors).zip(&mut sent.re).zip(&mut sent.im) {
+        let (re, im) = (T::narrow(photons * factor.re), T::narrow(photons * factor.im));
+        *to_re = *to_re + (light.re * re - light.im * im);
+        *to_im = *to_im + (light.re * im + light.im * re);
+    }
 }
 
 /// Transform of a movement at every kept frequency, as [`super::light::movement`] has it at one.

@@ -15,18 +15,19 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 
 use super::arriving::ConeSum;
+use super::basis::BasisTable;
 use super::cones::{ConeTable, MappedCone};
 use super::drive::drive;
-use super::gather::{LANES, Sheet, Stencils};
+use super::gather::Stencils;
 use super::grid::{Band, Planar, Real};
-use super::images::{Transforms, two_images};
+use super::images::{SHEET, Transforms, fours, sheets};
 use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::picture_spectrum::PictureSpectrum;
 use super::scene::Scene;
 use super::source::{Source, pixel_transform};
 use super::spectral::ARRIVING;
-use super::spread::Spread;
+use super::spread::{COLUMNS, Spread};
 use crate::display::Emitter;
 use crate::plan::Numerics;
 
@@ -43,8 +44,8 @@ pub struct Means {
     pub clamped: u64,
 }
 
-/// A basis kernel at the kept frequencies, by primary.
-pub type BasisKernel = Vec<Planar<f32>>;
+/// Cones that are gathered together.
+const CONES: usize = 512;
 
 /// A prepared scene.
 pub struct Expected {
@@ -53,15 +54,20 @@ pub struct Expected {
     /// `[primary][frequency]`: transform of the pixel's rectangles over P_x P_y φ̂_x φ̂_y.
     pixels: Vec<Vec<Complex64>>,
     pictures: PictureSpectrum,
-    /// Whether images are transformed in single precision.
-    single: bool,
+    transforms: Precision,
     /// Of isomerizations.
-    basis: Vec<BasisKernel>,
+    basis: BasisTable,
     stencils: Stencils,
-    /// Coefficients of the cones' images, `[cone][sheet][lane]`, with the cone's own factor in them; 0 for a type that is not computed.
-    coefficients: Vec<[f64; LANES]>,
+    /// By sheet: coefficients of the cones' images, `[cone][image]`, with the cone's own factor in them; 0 for a type that is not computed.
+    coefficients: Vec<Vec<f32>>,
     arrived: ConeSum,
     guided: ConeSum,
+}
+
+/// The transforms of images, and the precision of all numbers at the kept frequencies.
+enum Precision {
+    Single(Transforms<f32>),
+    Double(Transforms<f64>),
 }
 
 impl Expected {
@@ -75,8 +81,8 @@ impl Expected {
         let size = scene.size_px.map(|s| s as usize);
         let pictures = PictureSpectrum::new(size, scene.period_px, &band, settings.single);
         let seeing = seeing(kernels, cones, settings.blind_below);
-        let basis = basis_kernels(&scene, kernels, &band, 0);
-        let arriving = basis_kernels(&scene, kernels, &band, ARRIVING);
+        let basis = BasisTable::new(&scene, kernels, &band, 0);
+        let arriving = BasisTable::new(&scene, kernels, &band, ARRIVING);
         let stencils = Stencils::new(&scene, &spread, cones);
         let received: Vec<Vec<f64>> = (cones.cones.par_iter())
             .map(|c| {
@@ -93,77 +99,57 @@ impl Expected {
         };
         let (arrived, guided) = (sum(&|_| 1.0), sum(&|c| c.pointing));
         let coefficients = coefficients(kernels, seeing, cones);
-        Self {
-            scene,
-            pixels,
-            pictures,
-            single: settings.single,
-            basis,
-            stencils,
-            coefficients,
-            arrived,
-            guided,
-            band,
-        }
+        let transforms = if settings.single {
+            Precision::Single(Transforms::new(scene.samples))
+        } else {
+            Precision::Double(Transforms::new(scene.samples))
+        };
+        Self { scene, pixels, pictures, transforms, basis, stencils, coefficients, arrived, guided, band }
     }
 
     /// Means of one frame of a source.
     pub fn frame(&self, source: &Source) -> Means {
-        if self.single { self.frame_in::<f32>(source) } else { self.frame_in::<f64>(source) }
+        match &self.transforms {
+            Precision::Single(transforms) => self.frame_in(source, transforms),
+            Precision::Double(transforms) => self.frame_in(source, transforms),
+        }
     }
 
-    fn frame_in<T: Real>(&self, source: &Source) -> Means {
+    fn frame_in<T: Real>(&self, source: &Source, transforms: &Transforms<T>) -> Means {
         let drive: Vec<Planar<T>> = drive(source, &self.pixels, &self.pictures, (&self.scene, &self.band));
-        let transforms = Transforms::new(self.scene.samples);
-        let pair = |kernels: &[BasisKernel]| {
-            let second = kernels.get(1).map_or(&[][..], Vec::as_slice);
-            two_images(&self.band, [&kernels[0], second], &drive, &transforms, self.stencils.rows())
-        };
-        let sheets: Vec<Sheet> = self
-            .basis
-            .par_chunks(LANES)
-            .map(|kernels| {
-                let pairs: Vec<_> = kernels.chunks(2).map(pair).collect();
-                self.stencils.sheet(pairs, &transforms)
-            })
-            .collect();
         let (arrived, guided) = (self.arrived.of(&drive), self.guided.of(&drive));
-        self.gather(&sheets, arrived, guided)
-    }
-
-    fn gather(&self, sheets: &[Sheet], arrived: f64, guided: f64) -> Means {
-        let values: Vec<f64> = self
-            .coefficients
-            .par_chunks(sheets.len())
-            .enumerate()
-            .with_min_len(256)
-            .map(|(cone, coefficients)| {
-                let part = |(sheet, coefficients): (&Sheet, &[f64; LANES])| {
-                    let integrals = self.stencils.integrals(cone, sheet);
-                    integrals.iter().zip(coefficients).map(|(i, c)| f64::from(*i) * c).sum::<f64>()
-                };
-                sheets.iter().zip(coefficients).map(part).sum()
-            })
-            .collect();
+        let sheets = sheets((&self.band, &self.basis), &drive, transforms, self.stencils.spans(), COLUMNS);
+        let mut values = vec![0.0; self.stencils.len()];
+        values.par_chunks_mut(CONES).enumerate().for_each(|(part, values)| {
+            let cones = part * CONES..part * CONES + values.len();
+            for (sheet, coefficients) in sheets.iter().zip(&self.coefficients) {
+                let images = 4 * sheet.fours;
+                let own = &coefficients[cones.start * images..cones.end * images];
+                self.stencils.gather(sheet, cones.clone(), own, values);
+            }
+        });
         let clamped = values.iter().filter(|v| **v < 0.0).count() as u64;
         Means { isomerized: values.into_iter().map(|v| v.max(0.0)).collect(), arrived, guided, clamped }
     }
 }
 
-/// Coefficients of the cones' images, `[cone][sheet][lane]`.
-fn coefficients(kernels: &Kernels, seeing: [bool; ARRIVING], cones: &ConeTable) -> Vec<[f64; LANES]> {
-    let sheets = kernels.rank(0).div_ceil(LANES);
-    let mut coefficients = vec![[0.0; LANES]; sheets * cones.cones.len()];
-    coefficients.par_chunks_mut(sheets.max(1)).zip(&cones.cones).for_each(|(lanes, cone)| {
-        let kind = cone.cone_type as usize;
-        if seeing[kind] {
-            let factor = cone.geometry * cone.pointing;
-            for (r, own) in kernels.coefficients(kind, cone.um, cone.ecc_deg).into_iter().enumerate() {
-                lanes[r / LANES][r % LANES] = own * factor;
+/// By sheet: coefficients of the cones' images, `[cone][image]`.
+fn coefficients(kernels: &Kernels, seeing: [bool; ARRIVING], cones: &ConeTable) -> Vec<Vec<f32>> {
+    let rank = kernels.rank(0);
+    let of_sheet = |first: usize| {
+        let images = 4 * fours(rank, first);
+        let mut coefficients = vec![0.0; images * cones.cones.len()];
+        coefficients.par_chunks_mut(images).zip(&cones.cones).for_each(|(places, cone)| {
+            let kind = cone.cone_type as usize;
+            if seeing[kind] {
+                let factor = cone.geometry * cone.pointing;
+                let own = kernels.coefficients(kind, cone.um, cone.ecc_deg);
+                places.iter_mut().zip(&own[first..]).for_each(|(place, own)| *place = (own * factor) as f32);
             }
-        }
-    });
-    coefficients
+        });
+        coefficients
+    };
+    (0..rank).step_by(SHEET).map(of_sheet).collect()
 }
 
 /// `[primary][frequency]`: transform of the pixel's rectangles, divided by the period's area and by the spreading kernel's.
@@ -201,28 +187,4 @@ fn seeing(kernels: &Kernels, cones: &ConeTable, blind_below: f64) -> [bool; ARRI
     });
     let best = catches.into_iter().fold(0.0, f64::max);
     catches.map(|catch| catch > 0.0 && catch >= blind_below * best)
-}
-
-/// The basis kernels of a kind on the kept frequencies.
-fn basis_kernels(scene: &Scene, kernels: &Kernels, band: &Band, kind: usize) -> Vec<BasisKernel> {
-    let shape = kernels.shape();
-    let [px, py] = scene.period_px.map(|p| p as f64);
-    let stencils: Vec<_> = band
-        .iter()
-        .map(|[x, y]| {
-            // Screen y is up, pixel y is down.
-            let cycles = DVec2::new(f64::from(x) / px, -f64::from(y) / py) / scene.tangent_per_px;
-            shape.stencil(cycles)
-        })
-        .collect();
-    let of_primary = |r: usize, primary: usize| {
-        let table = kernels.table(kind, r, primary);
-        let value = |s: &Option<_>| s.as_ref().map_or(Complex64::ZERO, |s| shape.read(table, s));
-        Planar::new(stencils.iter().map(value))
-    };
-    let primaries = kernels.spec().primaries.len();
-    (0..kernels.rank(kind))
-        .into_par_iter()
-        .map(|r| (0..primaries).map(|primary| of_primary(r, primary)).collect())
-        .collect()
 }

@@ -1,20 +1,18 @@
 //! From images on the grid to cones: each cone's weights, and the sums over them.
 //!
-//! Four images stand side by side at each sample of a sheet, which holds the samples that cones read; where these go all around the period
-//! it repeats its first columns and rows at its end, so that no stencil has to wrap around.
+//! Lines of images hold the columns that cones read; where these go all around the period they repeat their first ones at their end, so that
+//! no stencil has to wrap around.
 
-use glam::Vec4;
+use std::ops::Range;
+
+use multiversion::multiversion;
 use rayon::prelude::*;
-use rustfft::num_complex::Complex;
 
 use super::cones::{ConeTable, MappedCone};
 use super::grid::Real;
-use super::images::{Span, Transforms};
+use super::images::{SHEET, Sheet, Span};
 use super::scene::Scene;
-use super::spread::{Spread, polygon_nodes};
-
-/// Images side by side.
-pub const LANES: usize = 4;
+use super::spread::{COLUMNS, Spread, polygon_nodes};
 
 /// The weights of all cones on the grid.
 #[derive(Default)]
@@ -31,9 +29,6 @@ struct Stencil {
     size: [u32; 2],
     offset: usize,
 }
-
-/// Four images at the samples of the spans, `[y][x]`.
-pub struct Sheet(Vec<Vec4>);
 
 impl Stencils {
     /// The weights of a scene's cones.
@@ -59,9 +54,14 @@ impl Stencils {
         all
     }
 
-    /// Rows of the grid that cones read.
-    pub fn rows(&self) -> &Span {
-        &self.spans[1]
+    /// Cones.
+    pub fn len(&self) -> usize {
+        self.cones.len()
+    }
+
+    /// Columns and rows of the grid that cones read.
+    pub fn spans(&self) -> &[Span; 2] {
+        &self.spans
     }
 
     fn of(&self, cone: usize) -> ([usize; 2], [usize; 2], &[f32]) {
@@ -81,53 +81,55 @@ impl Stencils {
         }
     }
 
-    /// A sheet of one or two pairs of images of the rows that cones read, transformed along y.
-    pub fn sheet<T: Real>(&self, mut pairs: Vec<Vec<Complex<T>>>, transforms: &Transforms<T>) -> Sheet {
-        let [across, down] = self.spans;
-        let columns = transforms.samples[0];
-        let mut sheet = Vec::with_capacity(across.len * down.len);
-        let mut scratch = Vec::new();
-        for row in 0..down.distinct() {
-            for pair in &mut pairs {
-                transforms.process(0, &mut pair[row * columns..][..columns], &mut scratch);
-            }
-            let own = row * columns..(row + 1) * columns;
-            let Some(first) = pairs.first().map(|pair| &pair[own.clone()]) else { break };
-            let second = pairs.get(1).map(|pair| &pair[own]);
-            for range in across.ranges() {
-                let first = first[range.clone()].iter().map(|z| [z.re.single(), z.im.single()]);
-                match second {
-                    Some(second) => sheet.extend(
-                        first
-                            .zip(&second[range])
-                            .map(|([a, b], z)| Vec4::new(a, b, z.re.single(), z.im.single())),
-                    ),
-                    None => sheet.extend(first.map(|[a, b]| Vec4::new(a, b, 0.0, 0.0))),
+    /// Adds to some cones' sums the integrals of a sheet's images over their apertures times the cones' coefficients, `[cone][image]`.
+    pub fn gather<T: Real>(
+        &self,
+        sheet: &Sheet<T>,
+        cones: Range<usize>,
+        coefficients: &[f32],
+        sums: &mut [f64],
+    ) {
+        match sheet.fours {
+            1 => gather::<T, 1>(self, sheet, cones, coefficients, sums),
+            2 => gather::<T, 2>(self, sheet, cones, coefficients, sums),
+            3 => gather::<T, 3>(self, sheet, cones, coefficients, sums),
+            _ => gather::<T, { SHEET / 4 }>(self, sheet, cones, coefficients, sums),
+        }
+    }
+}
+
+/// As [`Stencils::gather`] for a sheet of F fours of images.
+#[multiversion(targets("x86_64+avx2"))]
+fn gather<T: Real, const F: usize>(
+    stencils: &Stencils,
+    sheet: &Sheet<T>,
+    cones: Range<usize>,
+    coefficients: &[f32],
+    sums: &mut [f64],
+) {
+    let [across, down] = &stencils.spans;
+    for ((cone, own), sum) in cones.zip(coefficients.chunks_exact(4 * F)).zip(sums) {
+        let ([x, y], [nx, _], weights) = stencils.of(cone);
+        let (left, top) = (across.place(x), down.place(y));
+        // Even and odd columns apart: two chains of additions, in a fixed order.
+        let (mut even, mut odd) = ([T::Four::default(); F], [T::Four::default(); F]);
+        for (dy, line) in weights.chunks_exact(nx.max(1)).enumerate() {
+            let row = sheet.rows[(top + dy) % sheet.rows.len()].as_chunks::<F>().0;
+            let samples = row[left..left + nx].as_chunks::<COLUMNS>().0;
+            for (w, s) in line.as_chunks::<COLUMNS>().0.iter().zip(samples) {
+                for four in 0..F {
+                    even[four] += s[0][four] * T::of(w[0]);
+                    odd[four] += s[1][four] * T::of(w[1]);
                 }
             }
         }
-        for row in down.distinct()..down.len {
-            let same = (row - down.period) * across.len;
-            sheet.extend_from_within(same..same + across.len);
-        }
-        Sheet(sheet)
-    }
-
-    /// Integrals of the images of a sheet over a cone's aperture.
-    pub fn integrals(&self, cone: usize, sheet: &Sheet) -> [f32; LANES] {
-        let ([first_x, first_y], [nx, _], weights) = self.of(cone);
-        let [across, down] = &self.spans;
-        let corner = down.place(first_y) * across.len + across.place(first_x);
-        // Even and odd columns apart: two chains of additions, in a fixed order.
-        let (mut even, mut odd) = (Vec4::ZERO, Vec4::ZERO);
-        for (dy, line) in weights.chunks_exact(nx.max(1)).enumerate() {
-            let row = &sheet.0[corner + dy * across.len..][..nx];
-            let ((weights, _), (samples, _)) = (line.as_chunks::<2>(), row.as_chunks::<2>());
-            for (w, s) in weights.iter().zip(samples) {
-                even += w[0] * s[0];
-                odd += w[1] * s[1];
+        let mut all = 0.0;
+        for four in 0..F {
+            let images = T::wide_four(even[four] + odd[four]);
+            for (image, own) in images.iter().zip(&own[4 * four..]) {
+                all += image * f64::from(*own);
             }
         }
-        (even + odd).to_array()
+        *sum += all;
     }
 }

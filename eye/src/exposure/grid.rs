@@ -1,45 +1,76 @@
 //! The kept frequencies of the periodic grid, and numbers at them.
 
+use std::ops::{Add, AddAssign, Mul};
+
+use glam::{DVec4, Vec4};
 use rustfft::FftNum;
 use rustfft::num_complex::Complex;
 
 /// The precision of a transform.
 pub trait Real: FftNum {
+    /// Four numbers side by side.
+    type Four: Copy
+        + Default
+        + Send
+        + Sync
+        + AddAssign
+        + Add<Output = Self::Four>
+        + Mul<Self, Output = Self::Four>;
+    /// Four numbers.
+    fn four(values: [Self; 4]) -> Self::Four;
+    /// The same in double precision.
+    fn wide_four(values: Self::Four) -> [f64; 4];
     /// From double precision.
     fn narrow(value: f64) -> Self;
     /// From single precision.
     fn of(value: f32) -> Self;
-    /// To single precision.
-    fn single(self) -> f32;
     /// To double precision.
     fn wide(self) -> f64;
 }
 
 impl Real for f32 {
+    type Four = Vec4;
+    #[inline]
+    fn four(values: [Self; 4]) -> Vec4 {
+        Vec4::from_array(values)
+    }
+    #[inline]
+    fn wide_four(values: Vec4) -> [f64; 4] {
+        values.as_dvec4().to_array()
+    }
+    #[inline]
     fn narrow(value: f64) -> Self {
         value as Self
     }
+    #[inline]
     fn of(value: f32) -> Self {
         value
     }
-    fn single(self) -> f32 {
-        self
-    }
+    #[inline]
     fn wide(self) -> f64 {
         self.into()
     }
 }
 
 impl Real for f64 {
+    type Four = DVec4;
+    #[inline]
+    fn four(values: [Self; 4]) -> DVec4 {
+        DVec4::from_array(values)
+    }
+    #[inline]
+    fn wide_four(values: DVec4) -> [f64; 4] {
+        values.to_array()
+    }
+    #[inline]
     fn narrow(value: f64) -> Self {
         value
     }
+    #[inline]
     fn of(value: f32) -> Self {
         Self::from(value)
     }
-    fn single(self) -> f32 {
-        self as f32
-    }
+    #[inline]
     fn wide(self) -> f64 {
         self
     }
@@ -126,10 +157,5 @@ impl<T: Real> Planar<T> {
     pub fn new(values: impl Iterator<Item = Complex<f64>>) -> Self {
         let (re, im) = values.map(|z| (T::narrow(z.re), T::narrow(z.im))).unzip();
         Self { re, im }
-    }
-
-    /// A number in double precision.
-    pub fn at(&self, i: usize) -> Complex<f64> {
-        Complex::new(self.re[i].wide(), self.im[i].wide())
     }
 }

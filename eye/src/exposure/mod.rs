@@ -5,6 +5,7 @@
 
 mod arriving;
 pub mod audit;
+mod basis;
 mod budget;
 mod codec;
 mod cones;

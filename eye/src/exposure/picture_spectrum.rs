@@ -148,14 +148,23 @@ fn kept<T: Real>(table: &[Complex<T>], [px, py]: [usize; 2], columns: usize, ban
     let mut spectrum = Vec::with_capacity(band.len);
     for run in &band.runs {
         let x = run.x.rem_euclid(px as i32) as usize;
-        let y = run.y as usize;
-        if x < columns {
-            let line = &table[x * py..(x + 1) * py];
-            spectrum.extend((y..y + run.len).map(|y| line[y % py]));
-        } else {
-            // The picture is real: at -ν stands the conjugate.
-            let line = &table[(px - x) * py..(px - x + 1) * py];
-            spectrum.extend((y..y + run.len).map(|y| line[(py - y % py) % py].conj()));
+        let end = spectrum.len() + run.len;
+        // The picture is real: at -ν stands the conjugate.
+        let (line, conjugate) = if x < columns { (x, false) } else { (px - x, true) };
+        let line = &table[line * py..(line + 1) * py];
+        let mut y = run.y as usize % py;
+        while spectrum.len() < end {
+            let count = (py - y).min(end - spectrum.len());
+            if conjugate {
+                // From -y downwards; -0 is 0.
+                let first = usize::from(y == 0);
+                spectrum.extend(line[..first].iter().map(Complex::conj));
+                let down = line[py + 1 - y - count..=py - y - first].iter().rev();
+                spectrum.extend(down.take(count - first).map(Complex::conj));
+            } else {
+                spectrum.extend_from_slice(&line[y..y + count]);
+            }
+            y = 0;
         }
     }
     spectrum

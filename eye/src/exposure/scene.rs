@@ -10,6 +10,8 @@ use crate::display::Display;
 
 /// A period may be shorter by this part of the guard distance, for a good number of pixels.
 const SHORTER: f64 = 16.0;
+/// A period may be longer by this part of itself, for a good number of pixels.
+const LONGER: usize = 32;
 /// Largest side of the grid, samples.
 pub const MAX_GRID: usize = 6144;
 
@@ -132,15 +134,16 @@ fn even(px: f64) -> usize {
     ((px / 2.0).ceil() as usize).max(1) * 2
 }
 
-/// An even period of so many pixels or up to `shorter` fewer, without large prime factors: where there are many pixels their transform is
-/// much of the work.
+/// An even period of so many pixels, up to `shorter` fewer or a few more, without large prime factors: where there are many pixels their
+/// transform is much of the work.
 fn good_period(px: usize, shorter: usize) -> usize {
+    let good = |n: &usize| n.is_multiple_of(2) && has_no_prime_above_eleven(*n);
     let first = px.saturating_sub(shorter).max(2);
-    (first..=px).rev().find(|&n| n.is_multiple_of(2) && has_no_prime_above_seven(n)).unwrap_or(px)
+    (first..=px).rev().find(good).or_else(|| (px..=px + px / LONGER).find(good)).unwrap_or(px)
 }
 
-fn has_no_prime_above_seven(mut n: usize) -> bool {
-    for p in [2, 3, 5, 7] {
+fn has_no_prime_above_eleven(mut n: usize) -> bool {
+    for p in [2, 3, 5, 7, 11] {
         while n.is_multiple_of(p) {
             n /= p;
         }
@@ -168,8 +171,8 @@ mod tests {
 
     #[test]
     fn periods_have_small_primes() {
-        assert_eq!([16, 34, 782, 800, 816].map(|n| good_period(n, 18)), [16, 32, 768, 800, 810]);
-        assert_eq!(good_period(22, 1), 22);
+        assert_eq!([16, 34, 782, 800, 816].map(|n| good_period(n, 18)), [16, 32, 770, 800, 810]);
+        assert_eq!([22, 26, 782, 1700].map(|n| good_period(n, 1)), [22, 26, 784, 1728]);
     }
 
     #[test]

@@ -9,7 +9,7 @@
 use glam::DVec2;
 
 /// Columns that are summed at a time.
-const COLUMNS: usize = 2;
+pub const COLUMNS: usize = 2;
 
 /// The spreading kernel.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -108,8 +108,10 @@ impl Numerics {
                 600.0
             }),
             spread_width: knobs.spread_width.map_or(
-                if usual {
-                    6
+                if coarse {
+                    3
+                } else if usual {
+                    4
                 } else if fine {
                     8
                 } else {
@@ -117,7 +119,7 @@ impl Numerics {
                 },
                 |w| w as usize,
             ),
-            oversampling: knobs.oversampling.unwrap_or(if usual { 1.12 } else { 1.25 }),
+            oversampling: knobs.oversampling.unwrap_or(if usual { 1.02 } else { 1.25 }),
             finer_field: u32::from(!coarse) + u32::from(!usual) + u32::from(!fine),
             ecc_nodes: knobs.ecc_nodes.unwrap_or(if usual { 3 } else { 4 }),
             blind_below: if Rule::BlindTypes.applies(experiment) { BLIND * target } else { 0.0 },
