@@ -46,7 +46,7 @@ pub async fn run(context: Context, args: DoctorArgs) -> Result<(), Failure> {
     let settings = &context.settings;
     let data = settings.data(args.data)?;
     let listen = args.listen.or(settings.listen.clone()).unwrap_or_else(|| DEFAULT_LISTEN.into());
-    let mut findings = vec![folder(&data)];
+    let mut findings = vec![folder(&data), processor()];
     if findings[0].verdict != Verdict::Failed {
         findings.push(room(&data));
         findings.extend(database(&data).await);
@@ -72,6 +72,23 @@ pub async fn run(context: Context, args: DoctorArgs) -> Result<(), Failure> {
         Ok(())
     } else {
         Err(Failure::failed(format!("{failed} of {} checks failed", findings.len())))
+    }
+}
+
+/// Transforms round otherwise on processors without these instructions: workers of one server should be alike.
+fn processor() -> Finding {
+    #[cfg(target_arch = "x86_64")]
+    let wide = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+    #[cfg(not(target_arch = "x86_64"))]
+    let wide = false;
+    if wide {
+        finding("processor", Verdict::Ok, "x86-64 with AVX2 and FMA")
+    } else {
+        let says = format!(
+            "{} without AVX2 and FMA: slower, and single photons may differ from workers that have them",
+            std::env::consts::ARCH
+        );
+        finding("processor", Verdict::Warning, says)
     }
 }
 

@@ -120,7 +120,7 @@ impl Ledger {
         let mut sums = Sent::default();
         for layer in &source.primaries[primary].layers {
             let sent = layer.sent();
-            let [emitted, entered, macula] = self.over_pixels(&layer.light, primary);
+            let [emitted, entered, macula] = layer.light.sums(|light| self.over_pixels(light, primary));
             sums.emitted += emitted * sent / pupil_share;
             sums.entered += entered * sent;
             sums.macula += macula * sent;
@@ -134,9 +134,9 @@ impl Ledger {
         let courses = courses(emitter, display, shown.index);
         let size = if self.slant.is_empty() { [0; 2] } else { [display.width_px, display.height_px] };
         let window = Window { first: [0; 2], size };
-        let (share, light) = window.frame_light(display, emitter, &courses, shown);
+        let light = window.frame_light(display, emitter, &courses, shown);
         let [emitted, entered, macula] = self.over_pixels(&light, primary);
-        let photons = share * emitter.emitted();
+        let photons = emitter.emitted();
         let met = photons * projector.pupil_share;
         Sent { emitted: emitted * photons, entered: entered * met, macula: macula * met }
     }

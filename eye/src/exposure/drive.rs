@@ -31,14 +31,14 @@ pub fn drive<T: Real>(
         }
     }
     let add_layer = |layer: &Layer, pixel: &[Complex64], sent: &mut Planar<T>| {
-        let light = pictures.of::<T>(&layer.light, band);
+        let light = layer.light.spectrum(|light| pictures.of::<T>(light, band));
         let movement = moved.iter().find(|(segments, _)| *segments == layer.segments);
         match movement {
             Some((_, movement)) => {
                 let factors = pixel.iter().zip(movement).map(|(pixel, movement)| pixel * movement);
-                add(sent, &light, factors, layer.photons);
+                add(sent, light, factors, layer.photons);
             }
-            None => add(sent, &light, pixel.iter().copied(), layer.photons),
+            None => add(sent, light, pixel.iter().copied(), layer.photons),
         }
     };
     let of_primary = |(primary, pixel): (&super::source::SourcePrimary, &Vec<Complex64>)| {

@@ -1,6 +1,7 @@
 //! The kept frequencies of the periodic grid, and numbers at them.
 
 use std::ops::{Add, AddAssign, Mul};
+use std::sync::OnceLock;
 
 use glam::{DVec4, Vec4};
 use rustfft::FftNum;
@@ -20,6 +21,11 @@ pub trait Real: FftNum {
     fn four(values: [Self; 4]) -> Self::Four;
     /// The same in double precision.
     fn wide_four(values: Self::Four) -> [f64; 4];
+    /// Which of two places is for numbers of this precision.
+    fn kept<'a>(
+        single: &'a OnceLock<Vec<Complex<f32>>>,
+        double: &'a OnceLock<Vec<Complex<f64>>>,
+    ) -> &'a OnceLock<Vec<Complex<Self>>>;
     /// From double precision.
     fn narrow(value: f64) -> Self;
     /// From single precision.
@@ -37,6 +43,12 @@ impl Real for f32 {
     #[inline]
     fn wide_four(values: Vec4) -> [f64; 4] {
         values.as_dvec4().to_array()
+    }
+    fn kept<'a>(
+        single: &'a OnceLock<Vec<Complex<f32>>>,
+        _: &'a OnceLock<Vec<Complex<f64>>>,
+    ) -> &'a OnceLock<Vec<Complex<Self>>> {
+        single
     }
     #[inline]
     fn narrow(value: f64) -> Self {
@@ -61,6 +73,12 @@ impl Real for f64 {
     #[inline]
     fn wide_four(values: DVec4) -> [f64; 4] {
         values.to_array()
+    }
+    fn kept<'a>(
+        _: &'a OnceLock<Vec<Complex<f32>>>,
+        double: &'a OnceLock<Vec<Complex<f64>>>,
+    ) -> &'a OnceLock<Vec<Complex<Self>>> {
+        double
     }
     #[inline]
     fn narrow(value: f64) -> Self {

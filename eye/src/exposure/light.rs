@@ -241,27 +241,34 @@ impl Window {
         self.rows(|at, line| light_row(display, emitter, shows, shown, at, line))
     }
 
-    /// [`frame_light`] of its pixels: a factor, and what it is to be multiplied with.
+    /// [`frame_light`] of its pixels.
     pub fn frame_light(
         &self,
         display: &Display,
         emitter: &Emitter,
         courses: &[Course],
         shown: &Shown,
-    ) -> (f64, Vec<f64>) {
-        let share = match courses {
-            [Course { shows: Shows::Bit(_), .. }, .., black] => black.share(),
-            [only] if only.shows == Shows::Now => only.share(),
-            _ => {
-                let light = self.rows(|[column, row], line| {
-                    for (value, column) in line.iter_mut().zip(column..) {
-                        *value = frame_light(display, emitter, courses, shown, [column, row]);
-                    }
-                });
-                return (1.0, light);
+    ) -> Vec<f64> {
+        if let Some(share) = share_of_now(courses) {
+            let mut light = self.light(display, emitter, Shows::Now, shown);
+            light.iter_mut().for_each(|light| *light *= share);
+            return light;
+        }
+        self.rows(|[column, row], line| {
+            for (value, column) in line.iter_mut().zip(column..) {
+                *value = frame_light(display, emitter, courses, shown, [column, row]);
             }
-        };
-        (share, self.rows(|at, line| light_row(display, emitter, Shows::Now, shown, at, line)))
+        })
+    }
+}
+
+/// What the light of a frame's picture is to be multiplied with for that of the whole frame; `None` where other pictures or the pixel's turn count.
+pub fn share_of_now(courses: &[Course]) -> Option<f64> {
+    match courses {
+        // Bits and black together are the picture's light.
+        [Course { shows: Shows::Bit(_), .. }, .., black] => Some(black.share()),
+        [only] if only.shows == Shows::Now => Some(only.share()),
+        _ => None,
     }
 }
 
@@ -386,7 +393,7 @@ mod tests {
                 let (rects, waveform) = (vec![([0.0, 0.0, 1.0, 1.0], 1.0)], Waveform::Steady);
                 let emitter = Emitter { channel, photons: Vec::new(), rects, spot_sd_px: 0.0, waveform };
                 let courses = courses(&emitter, &display, shown.index);
-                let (share, whole) = window.frame_light(&display, &emitter, &courses, &shown);
+                let whole = window.frame_light(&display, &emitter, &courses, &shown);
                 for course in &courses {
                     let made = window.light(&display, &emitter, course.shows, &shown);
                     for (i, (made, whole)) in (0_u32..).zip(made.iter().zip(&whole)) {
@@ -394,7 +401,7 @@ mod tests {
                         let exact = light(&display, &emitter, course.shows, &shown, at);
                         assert_eq!(made.to_bits(), exact.to_bits());
                         let exact = frame_light(&display, &emitter, &courses, &shown, at);
-                        assert!((share * whole).to_bits() == exact.to_bits());
+                        assert_eq!(whole.to_bits(), exact.to_bits());
                     }
                 }
             }

@@ -24,6 +24,7 @@ mod lowrank;
 pub(crate) mod nodes;
 mod paper;
 mod picture_spectrum;
+mod pixel_light;
 mod poisson;
 mod polar;
 mod scan;

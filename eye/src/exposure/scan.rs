@@ -8,6 +8,7 @@
 use glam::DVec2;
 
 use super::light::{Segment, Shown, courses_at, light};
+use super::pixel_light::PixelLight;
 use super::scene::Scene;
 use super::source::{Layer, Projector};
 use crate::display::{Emitter, Scan};
@@ -56,7 +57,7 @@ pub fn layers(
             };
             let segments: Vec<Segment> =
                 course.segments(&projector.gaze, shown.index, frame_s, scene.tangent_per_px);
-            let light = turns.iter().map(of_pixel).collect();
+            let light = PixelLight::new(turns.iter().map(of_pixel).collect());
             layers.push(Layer { light, photons, segments, course: Some(course) });
         }
     }

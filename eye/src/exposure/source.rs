@@ -1,9 +1,12 @@
 //! What the display sends in one frame, for the window of a scene.
 
+use std::sync::Arc;
+
 use glam::DVec2;
 use rustfft::num_complex::Complex64;
 
-use super::light::{Course, Segment, Shown, Window, courses};
+use super::light::{Course, Segment, Shown, Shows, Window, courses, share_of_now};
+use super::pixel_light::{LastShown, PixelLight};
 use super::scene::Scene;
 use crate::display::{Display, Emitter};
 use crate::movement::Gaze;
@@ -19,7 +22,7 @@ pub struct SourcePrimary {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
     /// Relative light of each pixel of the window, `[row][column]`.
-    pub light: Vec<f64>,
+    pub light: Arc<PixelLight>,
     /// Mean photons into the pupil from a pixel whose light is 1, as if it were at the gaze centre.
     pub photons: f64,
     /// Where the line of sight is meanwhile.
@@ -50,6 +53,8 @@ pub struct Projector {
     pub gaze: Gaze,
     /// Whether the course of light inside a frame is left out: the eye does not move.
     pub timeless: bool,
+    /// Pictures that stay need not be looked up again.
+    pub last_shown: LastShown,
 }
 
 impl Projector {
@@ -70,12 +75,22 @@ impl Projector {
     fn layers(&self, shown: &Shown, scene: &Scene, together: bool) -> Source {
         let seconds = 1.0 / self.display.frame_rate_hz;
         let window = Window { first: scene.first_px, size: scene.size_px };
-        let primary = |emitter: &Emitter| {
+        let lights = self.last_shown.lights(shown, &self.display, self.emitters.len());
+        let primary = |(number, emitter): (usize, &Emitter)| {
+            let now = || {
+                let make = || PixelLight::new(window.light(&self.display, emitter, Shows::Now, shown));
+                Arc::clone(lights[number].get_or_init(make))
+            };
             let courses = courses(emitter, &self.display, shown.index);
             let photons = emitter.emitted() * self.pupil_share;
             if together {
                 // The order of light does not matter: one layer.
-                let (share, light) = window.frame_light(&self.display, emitter, &courses, shown);
+                let (share, light) = match share_of_now(&courses) {
+                    Some(share) => (share, now()),
+                    None => {
+                        (1.0, PixelLight::new(window.frame_light(&self.display, emitter, &courses, shown)))
+                    }
+                };
                 let photons = share * photons;
                 let rest = Segment { share: 1.0, decay: 0.0, sight: [DVec2::ZERO; 2] };
                 let layer = Layer { light, photons, segments: vec![rest], course: None };
@@ -86,14 +101,17 @@ impl Projector {
                 return SourcePrimary { layers };
             }
             let layer = |course: &Course| {
-                let light = window.light(&self.display, emitter, course.shows, shown);
+                let light = match course.shows {
+                    Shows::Now => now(),
+                    shows => PixelLight::new(window.light(&self.display, emitter, shows, shown)),
+                };
                 let segments = course.segments(&self.gaze, shown.index, seconds, scene.tangent_per_px);
                 Layer { light, photons, segments, course: Some(course.clone()) }
             };
             SourcePrimary { layers: courses.iter().map(layer).filter(Layer::is_lit).collect() }
         };
         Source {
-            primaries: self.emitters.iter().map(primary).collect(),
+            primaries: self.emitters.iter().enumerate().map(primary).collect(),
             covers_display: self.is_whole(scene),
         }
     }

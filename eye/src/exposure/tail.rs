@@ -180,13 +180,8 @@ impl Tail {
     fn light(&self, primary: usize, shown: &Shown, source: &Source, projector: &Projector) -> Vec<f64> {
         let mut light = vec![0.0; self.blocks[0] * self.blocks[1]];
         for layer in &source.primaries[primary].layers {
-            let sent = layer.sent();
-            for (row, line) in layer.light.chunks_exact(self.size_px[0]).enumerate() {
-                let blocks = &mut light[row / self.block_px * self.blocks[0]..][..self.blocks[0]];
-                for (block, part) in blocks.iter_mut().zip(line.chunks(self.block_px)) {
-                    *block += sent * part.iter().sum::<f64>();
-                }
-            }
+            let (sent, blocks) = (layer.sent(), layer.light.blocks(|light| self.by_block(light)));
+            light.iter_mut().zip(blocks).for_each(|(light, block)| *light += sent * block);
         }
         let emitter = &projector.emitters[primary];
         let display = &projector.display;
@@ -197,6 +192,18 @@ impl Tail {
             block.each * photons * block.pixels.iter().map(of).sum::<f64>()
         }));
         light
+    }
+
+    /// Sums over the blocks of the window of its pixels' values.
+    fn by_block(&self, values: &[f64]) -> Vec<f64> {
+        let mut sums = vec![0.0; self.blocks[0] * self.blocks[1]];
+        for (row, line) in values.chunks_exact(self.size_px[0]).enumerate() {
+            let blocks = &mut sums[row / self.block_px * self.blocks[0]..][..self.blocks[0]];
+            for (block, part) in blocks.iter_mut().zip(line.chunks(self.block_px)) {
+                *block += part.iter().sum::<f64>();
+            }
+        }
+        sums
     }
 
     /// Values at the nodes on the fine grid, `[y][x]`.

@@ -28,13 +28,16 @@ const SECONDS_PER_SPREAD: f64 = 0.06;
 /// CPU seconds per cone that is made ready.
 const SECONDS_PER_READY_CONE: f64 = 8e-6;
 /// CPU seconds per cone and frame of the `expected` engine.
-const SECONDS_PER_MEAN: f64 = 1.5e-6;
+const SECONDS_PER_MEAN: f64 = 0.15e-6;
+/// CPU seconds per pixel and primary of a picture that is looked up, transformed and added up.
+const SECONDS_PER_LIGHT: f64 = 11e-9;
 /// CPU seconds per cone and frame of counts that are gathered.
 const SECONDS_PER_COUNT: f64 = 20e-9;
 /// Basis images, about.
 pub(super) const IMAGES: f64 = 12.0;
-/// CPU seconds per grid sample and basis image.
-const SECONDS_PER_SAMPLE: f64 = 12e-9;
+/// CPU seconds per grid sample and basis image: made ready, and of a frame.
+const SECONDS_PER_READY_SAMPLE: f64 = 12e-9;
+const SECONDS_PER_SAMPLE: f64 = 4e-9;
 /// `AUTO` takes `EVENTS` when it is predicted to take less than this share of what `EXPECTED` does.
 const CLEARLY: f64 = 0.5;
 
@@ -95,9 +98,10 @@ fn clearly_not_events(experiment: &Experiment, setup: &Setup) -> bool {
         })
         .sum();
     let cones = super::cost::cones_in(setup);
-    let images = samples * IMAGES * SECONDS_PER_SAMPLE;
     // What is made ready once counts as much as it would for one frame.
-    let expected = cones * (SECONDS_PER_READY_CONE + SECONDS_PER_MEAN) + 2.0 * images;
+    let images = samples * IMAGES * (SECONDS_PER_READY_SAMPLE + SECONDS_PER_SAMPLE);
+    let light = pixels * display.primaries.len() as f64 * SECONDS_PER_LIGHT;
+    let expected = cones * (SECONDS_PER_READY_CONE + SECONDS_PER_MEAN) + light + images;
     events > CLEARLY * expected
 }
 
@@ -160,14 +164,17 @@ pub(super) fn cost(
     match engine {
         Engine::Expected => {
             let samples: f64 = tiles.iter().map(|t| t.scene.samples.iter().product::<usize>() as f64).sum();
-            let images = samples * IMAGES * SECONDS_PER_SAMPLE;
-            EngineCost { prepare: ready + images, frame: images + cones * SECONDS_PER_MEAN }
+            let images = samples * IMAGES;
+            let light = pixels_of(tiles) * experiment.display.primaries.len() as f64 * SECONDS_PER_LIGHT;
+            EngineCost {
+                prepare: ready + images * SECONDS_PER_READY_SAMPLE,
+                frame: light + images * SECONDS_PER_SAMPLE + cones * SECONDS_PER_MEAN,
+            }
         }
         Engine::Events => {
             let spread_um = if experiment.accuracy_target < 0.005 { 100.0 } else { 200.0 };
             let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0).powi(4);
-            let pixels: f64 =
-                tiles.iter().map(|t| t.scene.size_px.iter().map(|s| f64::from(*s)).product::<f64>()).sum();
+            let pixels = pixels_of(tiles);
             let layers = experiment.display.primaries.len() as f64;
             let drawn = photons_per_pixel(experiment) * pixels * DRAWN_SHARE;
             EngineCost {
@@ -188,6 +195,11 @@ pub(super) fn cost(
             }
         }
     }
+}
+
+/// Pixels of all windows.
+fn pixels_of(tiles: &[PlannedTile]) -> f64 {
+    tiles.iter().map(|t| t.scene.size_px.iter().map(|s| f64::from(*s)).product::<f64>()).sum()
 }
 
 /// Photons from a pixel into the pupil in a frame, about.

@@ -3,6 +3,8 @@
 //!
 //! Places on the retina are in bins of the cones' index from an origin near the block's image, in single precision: good to 1e-4 of a bin.
 
+use multiversion::multiversion;
+
 use super::dice::{CELL_JITTER, NODE_TIME, PLACE_COUNT, Words};
 use super::piece::{Tally, Wave};
 use super::tables::Field;
@@ -52,6 +54,19 @@ impl Few {
     }
 }
 
+/// The lower and upper halves of the words of so many photons for a purpose.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512dq+avx512vl", "x86_64+avx2"))]
+fn halves_of(
+    (words, first, purpose): (Words, u64, u64),
+    [lower, upper]: [&mut [u32; BATCH]; 2],
+    many: usize,
+) {
+    for i in 0..many.min(BATCH) {
+        let bits = words.of(first.wrapping_add(i as u64), purpose);
+        (lower[i], upper[i]) = (bits as u32, (bits >> 32) as u32);
+    }
+}
+
 impl Stage {
     pub(super) fn new() -> Self {
         let (none, nowhere) = ([0; BATCH], [[0.0; BATCH]; 2]);
@@ -71,15 +86,9 @@ impl Stage {
 
     /// Draws the bits of so many photons.
     pub(super) fn throw(&mut self, words: Words, first: u64, many: usize) {
-        for i in 0..many.min(BATCH) {
-            let halves = |purpose: u64| {
-                let bits = words.of(first.wrapping_add(i as u64), purpose);
-                (bits as u32, (bits >> 32) as u32)
-            };
-            (self.place[i], self.chance[i]) = halves(PLACE_COUNT);
-            (self.cell[i], self.jitter[i]) = halves(CELL_JITTER);
-            (self.node[i], self.time[i]) = halves(NODE_TIME);
-        }
+        halves_of((words, first, PLACE_COUNT), [&mut self.place, &mut self.chance], many);
+        halves_of((words, first, CELL_JITTER), [&mut self.cell, &mut self.jitter], many);
+        halves_of((words, first, NODE_TIME), [&mut self.node, &mut self.time], many);
     }
 
     /// Draws from the point spreads and finds what the bins say.
