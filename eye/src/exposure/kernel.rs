@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::density::densities;
 use super::field::Field;
-use super::lowrank::{compress, compress_together};
+use super::lowrank::{add, compress, compress_together};
 use super::polar::PolarShape;
 use super::spectral::{ARRIVING, Absorbers, KINDS, Paths, Share, paths_at};
 use super::transfer::{FieldPoint, Transfer, extent, transfer_table};
@@ -120,6 +120,9 @@ struct Place {
     kernel: Vec<Complex64>,
 }
 
+/// Samples of kernels that are added up together.
+const SAMPLES: usize = 1024;
+
 impl Place {
     /// Adds those of some consecutive transfers (`[field][wavelength]`, the first is number `first`) that are of its field point.
     fn add(&mut self, first: usize, transfers: &[Transfer], waves: usize) {
@@ -130,9 +133,16 @@ impl Place {
         }
         let transfers = &transfers[from - first..to - first];
         let samples = self.kernel.len() / self.weights.len().max(1);
-        for (kernel, weights) in self.kernel.chunks_exact_mut(samples.max(1)).zip(&self.weights) {
-            for (transfer, weight) in transfers.iter().zip(&weights[from - own.start..]) {
-                kernel.iter_mut().zip(&transfer.table).for_each(|(sum, value)| *sum += *weight * value);
+        // Some samples at a time: they stay at hand for all transfers and primaries.
+        for at in (0..samples).step_by(SAMPLES) {
+            let some = at..samples.min(at + SAMPLES);
+            for (wave, transfer) in (from - own.start..).zip(transfers) {
+                for (primary, weights) in self.weights.iter().enumerate() {
+                    let kernel = &mut self.kernel[primary * samples..][some.clone()];
+                    if weights[wave] != 0.0 {
+                        add(kernel, &transfer.table[some.clone()], weights[wave]);
+                    }
+                }
             }
         }
     }

@@ -78,7 +78,7 @@ fn dot(x: &[Complex64], y: &[Complex64], weights: &[f64]) -> f64 {
 
 /// Adds a kernel times a factor.
 #[multiversion(targets("x86_64+avx2"))]
-fn add(to: &mut [Complex64], kernel: &[Complex64], factor: f64) {
+pub fn add(to: &mut [Complex64], kernel: &[Complex64], factor: f64) {
     for (to, kernel) in to.iter_mut().zip(kernel) {
         *to += factor * kernel;
     }

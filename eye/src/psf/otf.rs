@@ -16,6 +16,7 @@ use super::quadrature::Rules;
 use super::sincos::sin_cos_turns;
 use super::wavefront::Wavefront;
 use glam::{DMat2, DVec2};
+use multiversion::multiversion;
 use rustfft::num_complex::Complex64;
 use std::f64::consts::PI;
 
@@ -240,6 +241,7 @@ impl Turned {
 }
 
 /// Σ w A(a−δ)A(a) exp(2πi (W(a−δ) − W(a))) at a = middle + δ/2 + half·x.
+#[multiversion(targets("x86_64+avx2"))]
 fn along_chord(
     rule: &[(f64, f64)],
     middle: f64,
@@ -250,9 +252,11 @@ fn along_chord(
 ) -> (f64, f64) {
     let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);
     for block in rule.chunks_exact(LANES) {
-        let far: [f64; LANES] = std::array::from_fn(|l| middle + 0.5 * delta + half * block[l].0);
-        let near: [f64; LANES] = std::array::from_fn(|l| far[l] - delta);
-        let mut phase = [0.0; LANES];
+        let (mut far, mut near, mut phase) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        for l in 0..LANES {
+            far[l] = middle + 0.5 * delta + half * block[l].0;
+            near[l] = far[l] - delta;
+        }
         let (mut w_far, mut w_near) = ([0.0; LANES], [0.0; LANES]);
         for c in turns.iter().skip(1).rev() {
             for l in 0..LANES {
