@@ -28,7 +28,7 @@ const SECONDS_PER_SPREAD: f64 = 0.06;
 /// CPU seconds per cone that is made ready.
 const SECONDS_PER_READY_CONE: f64 = 8e-6;
 /// CPU seconds per cone and frame of the `expected` engine.
-const SECONDS_PER_MEAN: f64 = 0.15e-6;
+const SECONDS_PER_MEAN: f64 = 0.5e-6;
 /// CPU seconds per pixel and primary of a picture that is looked up, transformed and added up.
 const SECONDS_PER_LIGHT: f64 = 11e-9;
 /// CPU seconds per cone and frame of counts that are gathered.
