@@ -261,6 +261,24 @@ impl Display {
         Ok(())
     }
 
+    /// A small screen without primaries.
+    #[cfg(test)]
+    pub fn for_test() -> Self {
+        Self {
+            width_px: 7,
+            height_px: 5,
+            pixel_pitch_cm: 0.03,
+            distance_cm: 100.0,
+            white: White::LuminanceCdM2(100.0),
+            frame_rate_hz: 60.0,
+            transfer: Transfer::Srgb,
+            black: 0.01,
+            panel: Panel::default(),
+            emission_law: EmissionLaw::Lambertian,
+            primaries: Vec::new(),
+        }
+    }
+
     /// Light of a channel (0 to 1) that a pixel is told to give, in the panel's levels and above its black.
     pub fn light(&self, channel: Channel, rgb: &[f32], place: Place) -> f64 {
         if channel == Channel::Room {

@@ -2,7 +2,7 @@
 
 use super::ExposureError;
 use super::kernel::Kernels;
-use super::pixel_light::LastShown;
+use super::pixel_light::FirstShown;
 use super::scene::Scene;
 use super::source::Projector;
 use crate::cone::directional::Pointing;
@@ -66,7 +66,7 @@ impl Inputs {
         let projector = Projector {
             emitters: emitters(&display).map_err(model)?,
             pupil_share: pupil_share(&display, eye.pupil_mm),
-            last_shown: LastShown::default(),
+            first_shown: FirstShown::default(),
             timeless: gaze.is_still() && Rule::StillEye.applies(experiment),
             gaze,
             display,

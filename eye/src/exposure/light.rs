@@ -359,7 +359,7 @@ fn mean_exp(z: Complex64) -> Complex64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::display::{EmissionLaw, Panel, Transfer, Waveform, White};
+    use crate::display::{Panel, Waveform};
 
     /// Windows are their pixels, bit for bit: continuous levels, steps, bit planes; now and before.
     #[test]
@@ -376,19 +376,7 @@ mod tests {
         ];
         let channels = [Channel::Red, Channel::Green, Channel::Blue, Channel::White, Channel::Room];
         for (levels, lag_ms) in levels.into_iter().flat_map(|l| [(l, 0.0), (l, 4.0)]) {
-            let display = Display {
-                width_px: 7,
-                height_px: 5,
-                pixel_pitch_cm: 0.03,
-                distance_cm: 100.0,
-                white: White::LuminanceCdM2(100.0),
-                frame_rate_hz: 60.0,
-                transfer: Transfer::Srgb,
-                black: 0.01,
-                panel: Panel { lag_ms, levels },
-                emission_law: EmissionLaw::Lambertian,
-                primaries: Vec::new(),
-            };
+            let display = Display { panel: Panel { lag_ms, levels }, ..Display::for_test() };
             for channel in channels {
                 let (rects, waveform) = (vec![([0.0, 0.0, 1.0, 1.0], 1.0)], Waveform::Steady);
                 let emitter = Emitter { channel, photons: Vec::new(), rects, spot_sd_px: 0.0, waveform };

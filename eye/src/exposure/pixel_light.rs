@@ -1,7 +1,7 @@
 //! Light of the pixels of a window, with what is made of it: of a picture that stays on the screen each is made once, however the eye moves.
 
 use std::ops::Deref;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 
 use rustfft::num_complex::Complex;
 
@@ -72,12 +72,12 @@ fn same_picture(a: &Picture, b: &Picture) -> bool {
 /// By primary: light of the pictures that are on the screen.
 pub type Lights = Arc<Vec<OnceLock<Arc<PixelLight>>>>;
 
-/// The pictures that were shown last, and their light.
+/// The pictures that were shown first, and their light.
 #[derive(Clone, Debug, Default)]
-pub struct LastShown(Arc<Mutex<Option<(Vec<Picture>, Lights)>>>);
+pub struct FirstShown(Arc<OnceLock<(Vec<Picture>, Lights)>>);
 
-impl LastShown {
-    /// The light of the pictures that are shown: what is known of it when they are the last ones again.
+impl FirstShown {
+    /// The light of the pictures that are shown: what is known of it when they are the first ones again.
     pub fn lights(&self, shown: &Shown, display: &Display, primaries: usize) -> Lights {
         let none = || Arc::new((0..primaries).map(|_| OnceLock::new()).collect());
         let dithered = match display.panel.levels {
@@ -88,17 +88,43 @@ impl LastShown {
         if dithered {
             return none();
         }
-        let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let same = |(pictures, _): &&(Vec<Picture>, _)| {
-            pictures.len() == shown.pictures.len()
-                && pictures.iter().zip(&shown.pictures).all(|(a, b)| same_picture(a, b))
-        };
-        if let Some((_, lights)) = last.as_ref().filter(same) {
-            return Arc::clone(lights);
-        }
-        let lights: Lights = none();
-        *last =
-            Some((shown.pictures.iter().map(|picture| (*picture).clone()).collect(), Arc::clone(&lights)));
-        lights
+        let keep = || (shown.pictures.iter().map(|picture| (*picture).clone()).collect(), none());
+        let (pictures, lights) = self.0.get_or_init(keep);
+        let same = pictures.len() == shown.pictures.len()
+            && pictures.iter().zip(&shown.pictures).all(|(a, b)| same_picture(a, b));
+        if same { Arc::clone(lights) } else { none() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::display::Panel;
+
+    fn picture(value: f32) -> Picture {
+        Picture { width: 2, height: 1, rgb: vec![value; 6] }
+    }
+
+    #[test]
+    fn light_of_the_first_picture_is_kept() {
+        let (white, black) = (picture(1.0), picture(0.0));
+        let mut display = Display::for_test();
+        let first = FirstShown::default();
+        let lights =
+            |picture: &Picture, display: &Display| first.lights(&Shown::new(0, picture, &[]), display, 2);
+        let kept = lights(&white, &display);
+        assert_eq!(kept.len(), 2);
+        assert!(Arc::ptr_eq(&kept, &lights(&white.clone(), &display)));
+        assert!(!Arc::ptr_eq(&kept, &lights(&black, &display)));
+        display.panel = Panel { lag_ms: 0.0, levels: Levels::Values { bits: 6, dither: true } };
+        assert!(!Arc::ptr_eq(&kept, &lights(&white, &display)));
+    }
+
+    #[test]
+    fn what_is_made_of_light_is_made_once() {
+        let light = PixelLight::new(vec![1.0, 2.0]);
+        assert_eq!(light.sums(|light| [light[0], light[1], 0.0]), [1.0, 2.0, 0.0]);
+        assert_eq!(light.sums(|_| [9.0; 3]), [1.0, 2.0, 0.0]);
+        assert!(*light == *PixelLight::new(vec![1.0, 2.0]) && *light != *PixelLight::new(vec![1.0]));
     }
 }

@@ -6,7 +6,7 @@ use glam::DVec2;
 use rustfft::num_complex::Complex64;
 
 use super::light::{Course, Segment, Shown, Shows, Window, courses, share_of_now};
-use super::pixel_light::{LastShown, PixelLight};
+use super::pixel_light::{FirstShown, PixelLight};
 use super::scene::Scene;
 use crate::display::{Display, Emitter};
 use crate::movement::Gaze;
@@ -54,7 +54,7 @@ pub struct Projector {
     /// Whether the course of light inside a frame is left out: the eye does not move.
     pub timeless: bool,
     /// Pictures that stay need not be looked up again.
-    pub last_shown: LastShown,
+    pub first_shown: FirstShown,
 }
 
 impl Projector {
@@ -75,7 +75,7 @@ impl Projector {
     fn layers(&self, shown: &Shown, scene: &Scene, together: bool) -> Source {
         let seconds = 1.0 / self.display.frame_rate_hz;
         let window = Window { first: scene.first_px, size: scene.size_px };
-        let lights = self.last_shown.lights(shown, &self.display, self.emitters.len());
+        let lights = self.first_shown.lights(shown, &self.display, self.emitters.len());
         let primary = |(number, emitter): (usize, &Emitter)| {
             let now = || {
                 let make = || PixelLight::new(window.light(&self.display, emitter, Shows::Now, shown));
