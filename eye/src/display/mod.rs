@@ -304,7 +304,9 @@ impl Display {
                 *light = self.transfer.light_of_pixel(steps, *value);
             }
         }
-        light.iter_mut().for_each(|light| *light = black + white * *light);
+        for light in light {
+            *light = black + white * *light;
+        }
     }
 
     /// As [`Display::light`], above black.

@@ -104,7 +104,7 @@ impl Expected {
         } else {
             Precision::Double(Transforms::new(scene.samples))
         };
-        Self { scene, pixels, pictures, transforms, basis, stencils, coefficients, arrived, guided, band }
+        Self { scene, band, pixels, pictures, transforms, basis, stencils, coefficients, arrived, guided }
     }
 
     /// Means of one frame of a source.

@@ -139,7 +139,7 @@ pub fn sheets<T: Real>(
     let down = down.distinct();
     let of_rows = |first: usize, block: usize| {
         let places = block * ROWS..down.min((block + 1) * ROWS);
-        let pairs = first / 2..pairs.min((first + SHEET) / 2);
+        let pairs = first / 2..pairs.min(first / 2 + SHEET / 2);
         let size = columns * pairs.len();
         let mut lines = vec![zero; size * places.len()];
         for (batch, &from) in batches.iter().zip(&starts) {
@@ -248,6 +248,7 @@ fn columns_of_run<T: Real>(
 /// Puts a + i·b of a run into its column and conj(a) + i·conj(b) at the negative frequencies into the other one (the same where there is
 /// none); of the mean only the former stays.
 #[inline(always)]
+#[allow(clippy::inline_always)] // in the caller's vector code only when inlined
 fn put<T: Real>(
     run: &Run,
     [a, b]: [&Planar<T>; 2],
@@ -277,6 +278,7 @@ fn put<T: Real>(
 
 /// Σ over primaries of an image's kernel times drive on a run of frequencies, in the first places of `sums`; 0 for an image that is not there.
 #[inline(always)]
+#[allow(clippy::inline_always)] // in the caller's vector code only when inlined
 fn sum_of_products<T: Real>(
     basis: &BasisTable,
     image: usize,

@@ -251,7 +251,9 @@ impl Window {
     ) -> Vec<f64> {
         if let Some(share) = share_of_now(courses) {
             let mut light = self.light(display, emitter, Shows::Now, shown);
-            light.iter_mut().for_each(|light| *light *= share);
+            for light in &mut light {
+                *light *= share;
+            }
             return light;
         }
         self.rows(|[column, row], line| {

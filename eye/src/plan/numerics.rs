@@ -108,7 +108,8 @@ impl Numerics {
                 600.0
             }),
             spread_width: knobs.spread_width.map_or(
-                if coarse {
+                // Below, an error of 2e-3 would be too much of the target.
+                if target >= 0.01 {
                     3
                 } else if usual {
                     4

@@ -277,7 +277,7 @@ fn judge(task: &mut Task, scene: &Scene) -> Result<(Vec<Point>, usize), Failure>
         for (i, (setting, paper)) in variants.into_iter().take(task.pick(5, 1)).enumerate() {
             let patience_s = if i == 0 { anchor_s } else { patience_s };
             judge.drawn(task, (setting, patience_s), |e| {
-                (e.counts.engine, e.counts.paper) = (Engine::Paper, paper)
+                (e.counts.engine, e.counts.paper) = (Engine::Paper, paper);
             })?;
         }
     }
