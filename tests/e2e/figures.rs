@@ -58,7 +58,11 @@ fn two_workers_against_one() {
         let place = tempdir().unwrap();
         let server = Server::start(place.path(), 0);
         let mut scene = small_experiment(64 * 16);
-        scene["retina"]["region_deg"] = json!({"x_min": -0.3, "x_max": 0.3, "y_min": -0.3, "y_max": 0.3});
+        // The size of Figure 12 with an eye that moves: each frame is work of its own.
+        scene["display"] = json!({"preset": "lcos-3chip", "width_px": 30, "height_px": 30, "pixel_pitch_cm": 0.58, "distance_cm": 800});
+        scene["gaze"] = json!({"movement": {"walk": {}}});
+        scene["accuracy"]["target"] = json!(0.001);
+        scene.as_object_mut().unwrap().remove("retina");
         let start = |number: usize| -> Child {
             let mut command = photoneye(place.path());
             command.args([
