@@ -202,6 +202,7 @@ fn batch_by_row<T: Real>(batch: &[Complex<T>], down: &Span) -> Vec<Complex<T>> {
 fn put_into_line<T: Real>(sides: &[Complex<T>], from: usize, most: usize, line: &mut [Complex<T>]) {
     let (plus, minus) = sides.split_at(TOGETHER);
     let columns = line.len();
+    // Nearly all are whole: copies of a length that the compiler knows.
     if from > 0 && from + TOGETHER <= most + 1 {
         line[from..from + TOGETHER].copy_from_slice(&plus[..TOGETHER]);
         line[columns + 1 - from - TOGETHER..][..TOGETHER].copy_from_slice(&minus[..TOGETHER]);
