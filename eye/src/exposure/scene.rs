@@ -8,8 +8,8 @@ use glam::DVec2;
 
 use crate::display::Display;
 
-/// A period may be shorter by this part of the guard distance, for a good number of pixels.
-const SHORTER: f64 = 16.0;
+/// A period may be shorter by this part of the guard distance, for a smaller grid and a good number of pixels.
+const SHORTER: f64 = 4.0;
 /// A period may be longer by this part of itself, for a good number of pixels.
 const LONGER: usize = 32;
 /// Largest side of the grid, samples.
@@ -45,8 +45,10 @@ pub struct SceneNeeds {
     pub cones: [DVec2; 2],
     /// Rectangle of the line of sight's positions on the screen over all frames (unit tangents).
     pub sight: [DVec2; 2],
-    /// Distance between a cone and the nearest copy of the picture, up to a sixteenth less, unit tangents.
+    /// Distance between a cone and the nearest copy of the blurred picture, up to a quarter less, unit tangents.
     pub guard: f64,
+    /// How far rays land from where they should, unit tangents.
+    pub blur: f64,
     /// Highest frequency kept, cycles per unit tangent.
     pub band: f64,
     /// Samples per two cycles of that frequency, at least (> 1).
@@ -64,7 +66,8 @@ impl Scene {
         let bounds = |[a, b]: [DVec2; 2]| (flip(a).min(flip(b)), flip(a).max(flip(b)));
         let (cones_min, cones_max) = bounds(needs.cones);
         let (sight_min, sight_max) = bounds(needs.sight);
-        let guard = needs.guard / tangent_per_px;
+        let shorter = (needs.guard / tangent_per_px / SHORTER) as usize;
+        let guard = (needs.guard + needs.blur) / tangent_per_px;
         // A pixel at p is seen at p - sight: the window holds whatever comes within the guard of a cone.
         let last = DVec2::new(f64::from(display.width_px), f64::from(display.height_px));
         let from = (needs.centre_px + cones_min + sight_min - guard).floor().clamp(DVec2::ZERO, last);
@@ -74,7 +77,7 @@ impl Scene {
         let reach = (cones_max - seen_from).max(seen_to - cones_min).max(DVec2::ONE) + guard;
         let per_px = 2.0 * needs.oversampling * needs.band * tangent_per_px;
         let samples_of = |p: usize| good_size((per_px * p as f64).ceil().max(16.0) as usize);
-        let period = [reach.x, reach.y].map(|reach| good_period(even(reach), (guard / SHORTER) as usize));
+        let period = [reach.x, reach.y].map(|reach| good_period(even(reach), shorter, samples_of));
         let samples = period.map(samples_of);
         if let Some(&large) = samples.iter().find(|&&s| s > MAX_GRID) {
             return Err(large);
@@ -135,11 +138,12 @@ fn even(px: f64) -> usize {
 }
 
 /// An even period of so many pixels, up to `shorter` fewer or a few more, without large prime factors: where there are many pixels their
-/// transform is much of the work.
-fn good_period(px: usize, shorter: usize) -> usize {
+/// transform is much of the work. Of those that are not longer the longest of those with the smallest grid.
+fn good_period(px: usize, shorter: usize, samples_of: impl Fn(usize) -> usize) -> usize {
     let good = |n: &usize| n.is_multiple_of(2) && has_no_prime_above_eleven(*n);
     let first = px.saturating_sub(shorter).max(2);
-    (first..=px).rev().find(good).or_else(|| (px..=px + px / LONGER).find(good)).unwrap_or(px)
+    let best = (first..=px).rev().filter(good).min_by_key(|&n| samples_of(n));
+    best.or_else(|| (px..=px + px / LONGER).find(good)).unwrap_or(px)
 }
 
 fn has_no_prime_above_eleven(mut n: usize) -> bool {
@@ -151,10 +155,10 @@ fn has_no_prime_above_eleven(mut n: usize) -> bool {
     n == 1
 }
 
-/// The next even size without prime factors but 2, 3 and at most one 5: transforms of others take twice as long.
+/// The next even size without prime factors but 2, 3 and at most one of 5, 7 and 11: transforms of others take up to twice as long.
 pub fn good_size(at_least: usize) -> usize {
     let smooth = |mut n: usize| {
-        n = if n.is_multiple_of(5) { n / 5 } else { n };
+        n /= [5, 7, 11].into_iter().find(|p| n.is_multiple_of(*p)).unwrap_or(1);
         for p in [2, 3] {
             while n.is_multiple_of(p) {
                 n /= p;
@@ -171,12 +175,15 @@ mod tests {
 
     #[test]
     fn periods_have_small_primes() {
-        assert_eq!([16, 34, 782, 800, 816].map(|n| good_period(n, 18)), [16, 32, 770, 800, 810]);
-        assert_eq!([22, 26, 782, 1700].map(|n| good_period(n, 1)), [22, 26, 784, 1728]);
+        let even = |n| good_period(n, 18, |_| 1);
+        assert_eq!([16, 34, 782, 800, 816].map(even), [16, 32, 770, 800, 810]);
+        assert_eq!([22, 26, 782, 1700].map(|n| good_period(n, 1, |_| 1)), [22, 26, 784, 1728]);
+        // A period a little shorter has a much smaller grid.
+        assert_eq!(good_period(816, 18, |n| if n < 809 { 384 } else { 432 }), 800);
     }
 
     #[test]
     fn sizes_are_smooth() {
-        assert_eq!([16, 17, 91, 441, 641].map(good_size), [16, 18, 96, 480, 648]);
+        assert_eq!([16, 17, 91, 391, 441, 641].map(good_size), [16, 18, 96, 396, 448, 648]);
     }
 }

@@ -15,7 +15,7 @@ use super::setup::{Setup, UM_PER_TANGENT, cutoff};
 use super::{Numerics, PlanError, Rule};
 use crate::display::photon_shares;
 use crate::experiment::Experiment;
-use crate::exposure::transfer::{FieldPoint, wavefronts};
+use crate::exposure::transfer::{FieldPoint, extent, wavefronts};
 use crate::psf::Otf;
 use crate::retina::{Density, RegionUm};
 
@@ -30,13 +30,22 @@ const STEPS: u32 = 400;
 /// Parts of half a large patch at which the transfer is traced, along either axis.
 const PLACES: [f64; 3] = [-0.95, 0.0, 0.95];
 
-/// The transfer over the patch.
+/// The light's way to one place.
+#[derive(Clone, Debug, Default)]
+pub struct Seen {
+    /// Largest modulus of transfer at equal steps of frequency from 0 to the cutoff.
+    moduli: Vec<f64>,
+    /// Farthest that rays land from the place where they should, unit tangents of the screen.
+    pub blur: f64,
+}
+
+/// The same over the patch.
 #[derive(Clone, Debug)]
 pub struct Moduli {
     /// Places along x and y, µm.
     axes: [Vec<f64>; 2],
-    /// `[y][x]`: largest modulus at equal steps of frequency from 0 to the cutoff.
-    curves: Vec<Vec<f64>>,
+    /// `[y][x]`.
+    seen: Vec<Seen>,
 }
 
 impl Moduli {
@@ -51,22 +60,33 @@ impl Moduli {
         let axes = [places(0), places(1)];
         let at: Vec<DVec2> =
             axes[1].iter().flat_map(|y| axes[0].iter().map(move |x| DVec2::new(*x, *y))).collect();
-        let curves =
-            at.par_iter().map(|um| modulus(experiment, setup, *um)).collect::<Result<Vec<_>, _>>()?;
-        Ok(Self { axes, curves })
+        let seen = at.par_iter().map(|um| seen(experiment, setup, *um)).collect::<Result<_, _>>()?;
+        Ok(Self { axes, seen })
     }
 
-    /// The curve at a place.
-    fn at(&self, um: DVec2) -> Vec<f64> {
+    /// At a place.
+    fn at(&self, um: DVec2) -> Seen {
         let [x, y] = [0, 1].map(|axis| weights(&self.axes[axis], um[axis]));
-        let mut sum = vec![0.0; POINTS];
+        let mut sum = Seen { moduli: vec![0.0; POINTS], blur: 0.0 };
         for (row, wy) in y.iter().enumerate() {
             for (column, wx) in x.iter().enumerate() {
-                let curve = &self.curves[row * x.len() + column];
-                sum.iter_mut().zip(curve).for_each(|(s, c)| *s += wx * wy * c);
+                let seen = &self.seen[row * x.len() + column];
+                sum.moduli.iter_mut().zip(&seen.moduli).for_each(|(s, c)| *s += wx * wy * c);
+                sum.blur += wx * wy * seen.blur;
             }
         }
         sum
+    }
+}
+
+impl Setup {
+    /// What the middle of a patch sees.
+    ///
+    /// # Errors
+    /// When a part of the patch sees no screen or cannot be traced.
+    pub fn seen(&self, experiment: &Experiment, region: &RegionUm) -> Result<Seen, PlanError> {
+        let moduli = self.moduli.get_or_init(|| Moduli::new(experiment, self));
+        Ok(moduli.as_ref().map_err(|e| PlanError::Model(e.clone()))?.at(0.5 * (region.min + region.max)))
     }
 }
 
@@ -83,13 +103,10 @@ fn weights(axis: &[f64], at: f64) -> Vec<f64> {
 }
 
 /// Highest frequency kept for a patch, cycles per unit tangent: the eye's own, or where E(B) is small against the accuracy target.
-///
-/// # Errors
-/// When a part of the patch sees no screen or cannot be traced.
-pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> Result<f64, PlanError> {
+pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm, seen: &Seen) -> f64 {
     let most = cutoff(experiment);
     if !Rule::CoarseGrids.applies(experiment) {
-        return Ok(most);
+        return most;
     }
     let density = Density::new(&setup.retina);
     let nearest = DVec2::ZERO.clamp(region.min, region.max);
@@ -100,15 +117,12 @@ pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> Result
     let pixel = display.primaries.iter().flat_map(|p| &p.rects).map(side).fold(1.0, f64::min);
     let pixel = pixel * display.pixel_pitch_cm / display.distance_cm;
     let aperture = (aperture_um2 / FRAC_PI_4).sqrt() / UM_PER_TANGENT;
-    let moduli = setup.moduli.get_or_init(|| Moduli::new(experiment, setup));
-    let modulus =
-        moduli.as_ref().map_err(|e| PlanError::Model(e.clone()))?.at(0.5 * (region.min + region.max));
     let loss = Numerics::new(experiment).band_loss;
     let part = |i: u32| {
         let x = (f64::from(i) + 0.5) / f64::from(STEPS);
         let nu = most * x;
         // The mean over directions of the square's transform squared is near that of a disc of the same area.
-        let value = disc(nu * pixel / FRAC_PI_4.sqrt()) * disc(nu * aperture) * interpolate(&modulus, x);
+        let value = disc(nu * pixel / FRAC_PI_4.sqrt()) * disc(nu * aperture) * interpolate(&seen.moduli, x);
         value * value * nu
     };
     let parts: Vec<f64> = (0..STEPS).map(part).collect();
@@ -122,11 +136,11 @@ pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm) -> Result
         }
         kept -= 1;
     }
-    Ok(most * f64::from(kept) / f64::from(STEPS))
+    most * f64::from(kept) / f64::from(STEPS)
 }
 
-/// Largest modulus of transfer at equal steps from 0 to the cutoff.
-fn modulus(experiment: &Experiment, setup: &Setup, um: DVec2) -> Result<Vec<f64>, String> {
+/// Traces the light to a place.
+fn seen(experiment: &Experiment, setup: &Setup, um: DVec2) -> Result<Seen, String> {
     let point = FieldPoint::new(&setup.projection, um)?;
     let rho = experiment.eye.stiles_crawford_rho10_per_mm2;
     let waves = wavefronts(&setup.projection, &point, &bright_nm(experiment), rho)?;
@@ -143,7 +157,8 @@ fn modulus(experiment: &Experiment, setup: &Setup, um: DVec2) -> Result<Vec<f64>
         })
         .collect();
     let largest = |i: usize| curves.iter().map(|curve| curve[i]).fold(0.0, f64::max);
-    Ok((0..POINTS).map(largest).collect())
+    let blur = waves.iter().map(|wave| extent(&point, wave).iter().sum()).fold(0.0, f64::max);
+    Ok(Seen { moduli: (0..POINTS).map(largest).collect(), blur })
 }
 
 /// A few wavelengths of the display's light.

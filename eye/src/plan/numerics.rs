@@ -13,7 +13,7 @@ pub struct Knobs {
     pub basis_tolerance: Option<f64>,
     /// Light above the highest frequency that is kept, L2, see `plan/band.rs`.
     pub band_loss: Option<f64>,
-    /// Distance between a cone and the nearest copy of the picture, µm.
+    /// Distance between a cone and the nearest copy of the blurred picture, µm.
     pub guard_um: Option<f64>,
     /// Width of the spreading kernel, samples.
     pub spread_width: Option<u32>,
@@ -107,8 +107,10 @@ impl Numerics {
             basis_tolerance: knobs.basis_tolerance.unwrap_or(BASIS_SHARE * target),
             band_loss: knobs.band_loss.unwrap_or(LOSS * target),
             // Light of the copies that comes from farther is taken away by the law of the spread's tail.
-            guard_um: knobs.guard_um.unwrap_or(if usual {
-                150.0
+            guard_um: knobs.guard_um.unwrap_or(if coarse {
+                30.0
+            } else if usual {
+                50.0
             } else if fine {
                 300.0
             } else {
