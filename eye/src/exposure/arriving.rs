@@ -70,7 +70,7 @@ impl ConeSum {
 
 /// Sum of products.
 #[multiversion(targets("x86_64+avx2"))]
-fn dot<T: Real>(weights: &[f32], values: &[T]) -> f64 {
+pub fn dot<T: Real>(weights: &[f32], values: &[T]) -> f64 {
     let mut sums = [0.0; LANES];
     let ((weights, rest), (values, values_rest)) =
         (weights.as_chunks::<LANES>(), values.as_chunks::<LANES>());

@@ -15,6 +15,7 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
+use super::arriving::dot;
 use super::bounds;
 use super::cones::ConeTable;
 use super::expected::Means;
@@ -154,7 +155,7 @@ impl Tail {
             let light = self.light(primary, shown, source, projector);
             for (term, responses) in self.responses.iter().enumerate() {
                 for (node, line) in responses.chunks_exact(light.len().max(1)).enumerate() {
-                    let sum: f64 = line.iter().zip(&light).map(|(r, l)| f64::from(*r) * l).sum();
+                    let sum = dot(line, &light);
                     for (kind, nodes) in by_kind.iter_mut().enumerate() {
                         nodes[node] += self.slopes[kind][slopes][term] * sum;
                     }
