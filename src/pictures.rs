@@ -5,14 +5,17 @@ use std::path::Path;
 
 use photoneye_eye::experiment::Experiment;
 use photoneye_eye::movement::Gaze;
-use photoneye_eye::picture::{ConeShapes, View, encode_png};
-use photoneye_eye::video::{Limits, Picture, decode_png};
+use photoneye_eye::picture::{ConeShapes, RgbImage, View, encode_srgb, srgb_light};
 use photoneye_store::table::{ConeColumns, read_cones_file};
+use rayon::prelude::*;
 use serde_json::Value;
 
 use crate::cli::PictureArgs;
 use crate::counts_file::CountsFile;
 use crate::failure::{Failure, plain};
+
+/// Frames that are drawn together.
+const TOGETHER: usize = 16;
 
 /// Draws `frames/` of a result folder from its cones.arrow and counts.npy; gives the number of frames drawn.
 ///
@@ -38,12 +41,17 @@ pub fn draw(folder: &Path, args: PictureArgs) -> Result<usize, Failure> {
     let shapes = shapes(&cones);
     let view = View::new(&shapes, args.picture_px).map_err(Failure::usage)?;
     let mut mean = Mean::new(folder, &cones, &shapes, args.picture_px);
-    for index in 0..drawn {
-        let png = view.png(&shapes, &counts.frame(index)?).map_err(Failure::failed)?;
+    for first in (0..drawn).step_by(TOGETHER) {
+        let some = first..drawn.min(first + TOGETHER);
+        let values: Vec<_> = some.clone().map(|index| counts.frame(index)).collect::<Result<_, _>>()?;
+        let images: Vec<RgbImage> = values.par_iter().map(|values| view.image(&shapes, values)).collect();
         if let Some(mean) = mean.as_mut().filter(|_| drawn > 1) {
-            mean.add(index, &decode_png(&png, Limits::default()).map_err(Failure::failed)?);
+            images.iter().zip(some.clone()).for_each(|(image, index)| mean.add(index, image));
         }
-        write(&frames.join(format!("{index:04}.png")), &png)?;
+        images.par_iter().zip(some).try_for_each(|(image, index)| {
+            let png = image.png().map_err(Failure::failed)?;
+            write(&frames.join(format!("{index:04}.png")), &png)
+        })?;
     }
     if let Some(png) = mean.filter(|_| drawn > 1).and_then(|mean| mean.png()) {
         write(&frames.join("mean.png"), &png)?;
@@ -83,8 +91,8 @@ struct Mean {
     /// Picture pixels per visual degree.
     px_per_deg: f64,
     size: Option<[usize; 2]>,
-    sum: Vec<f64>,
-    weight: Vec<f64>,
+    /// `[row][column]`: linear light, and the number of frames.
+    sum: Vec<[f32; 4]>,
 }
 
 impl Mean {
@@ -100,57 +108,51 @@ impl Mean {
             px_per_deg: um_per_deg(cones)? * f64::from(picture_px) / extent_um(shapes),
             size: None,
             sum: Vec::new(),
-            weight: Vec::new(),
         })
     }
 
     /// Adds a frame. The eye moved right means that the scene moved left in the eye's own picture.
-    fn add(&mut self, index: usize, picture: &Picture) {
-        let [width, height] = [picture.width as usize, picture.height as usize];
+    fn add(&mut self, index: usize, image: &RgbImage) {
+        let [width, height] = [image.width as usize, image.height as usize];
         if self.size.is_none() {
             self.size = Some([width, height]);
-            self.sum = vec![0.0; 3 * width * height];
-            self.weight = vec![0.0; width * height];
+            self.sum = vec![[0.0; 4]; width * height];
         }
         let tangent = self.gaze.screen_tangent((index as f64 + 0.5) / self.frame_rate_hz);
         let shift = [
             tangent.x.atan().to_degrees() * self.px_per_deg,
             -tangent.y.atan().to_degrees() * self.px_per_deg,
         ];
-        for row in 0..height {
-            for column in 0..width {
+        let light = srgb_light().map(|light| light as f32);
+        self.sum.par_chunks_exact_mut(width).enumerate().for_each(|(row, sums)| {
+            for (column, sum) in sums.iter_mut().enumerate() {
                 let at = [column as f64 - shift[0], row as f64 - shift[1]];
-                let Some(colour) = sample(picture, at) else {
-                    continue;
-                };
-                let place = row * width + column;
-                self.weight[place] += 1.0;
-                for (total, value) in self.sum[3 * place..].iter_mut().zip(colour) {
-                    *total += value;
+                if let Some([red, green, blue]) = sample(image, &light, at) {
+                    sum.iter_mut().zip([red, green, blue, 1.0]).for_each(|(sum, value)| *sum += value);
                 }
             }
-        }
+        });
     }
 
     fn png(&self) -> Option<Vec<u8>> {
-        let [width, height] = self.size?;
-        let rgb: Vec<u8> = (0..3 * width * height)
-            .map(|i| srgb_from_linear(self.sum[i] / self.weight[i / 3].max(1.0)))
-            .collect();
-        encode_png(width as u32, height as u32, &rgb).ok()
+        let [width, height] = self.size?.map(|side| side as u32);
+        let mean = |[red, green, blue, frames]: &[f32; 4]| {
+            [red, green, blue].map(|sum| encode_srgb(sum / frames.max(1.0)))
+        };
+        RgbImage { width, height, rgb: self.sum.iter().flat_map(mean).collect() }.png().ok()
     }
 }
 
 /// Linear light at a point between pixels; `None` outside.
-fn sample(picture: &Picture, at: [f64; 2]) -> Option<[f64; 3]> {
-    let (width, height) = (picture.width as usize, picture.height as usize);
+fn sample(image: &RgbImage, light: &[f32; 256], at: [f64; 2]) -> Option<[f32; 3]> {
+    let (width, height) = (image.width as usize, image.height as usize);
     let (x, y) = (at[0].floor(), at[1].floor());
     if x < 0.0 || y < 0.0 || x as usize + 1 >= width || y as usize + 1 >= height {
         return None;
     }
-    let (u, v) = (at[0] - x, at[1] - y);
+    let (u, v) = ((at[0] - x) as f32, (at[1] - y) as f32);
     let pixel = |dx: usize, dy: usize, i: usize| {
-        linear_from_srgb(f64::from(picture.rgb[3 * ((y as usize + dy) * width + x as usize + dx) + i]))
+        light[usize::from(image.rgb[3 * ((y as usize + dy) * width + x as usize + dx) + i])]
     };
     Some(std::array::from_fn(|i| {
         let top = pixel(0, 0, i) * (1.0 - u) + pixel(1, 0, i) * u;
@@ -177,13 +179,4 @@ fn extent_um(shapes: &ConeShapes) -> f64 {
         max - min
     };
     side(0).max(side(1)).max(1e-3)
-}
-
-fn linear_from_srgb(value: f64) -> f64 {
-    if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
-}
-
-fn srgb_from_linear(light: f64) -> u8 {
-    let value = if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
-    (value.clamp(0.0, 1.0) * 255.0).round() as u8
 }

@@ -24,7 +24,7 @@ pub fn drive<T: Real>(
     (scene, band): (&Scene, &Band),
 ) -> Vec<Planar<T>> {
     // Primaries that shine at the same time share their movement.
-    let mut moved: Vec<(&[Segment], Vec<Complex64>)> = Vec::new();
+    let mut moved: Vec<(&[Segment], Planar<f64>)> = Vec::new();
     for layer in source.primaries.iter().flat_map(|p| &p.layers) {
         if !layer.is_at_rest() && moved.iter().all(|(segments, _)| *segments != layer.segments) {
             moved.push((&layer.segments, movement(&layer.segments, scene, band)));
@@ -35,7 +35,7 @@ pub fn drive<T: Real>(
         let movement = moved.iter().find(|(segments, _)| *segments == layer.segments);
         match movement {
             Some((_, movement)) => {
-                let factors = pixel.iter().zip(movement).map(|(pixel, movement)| pixel * movement);
+                let factors = pixel.iter().enumerate().map(|(i, pixel)| pixel * movement.at(i));
                 add(sent, light, factors, layer.photons);
             }
             None => add(sent, light, pixel.iter().copied(), layer.photons),
@@ -64,70 +64,126 @@ fn add<T: Real>(
     }
 }
 
+/// Segments whose tables are made together.
+const TOGETHER: usize = 64;
+
 /// Transform of a movement at every kept frequency, as [`super::light::movement`] has it at one.
-fn movement(segments: &[Segment], scene: &Scene, band: &Band) -> Vec<Complex64> {
-    let mut sum = vec![Complex64::ZERO; band.len];
-    for segment in segments {
-        let straight = Straight::new(segment, scene, band);
-        for run in &band.runs {
-            straight.add(run, &mut sum[run.range()]);
-        }
+fn movement(segments: &[Segment], scene: &Scene, band: &Band) -> Planar<f64> {
+    let mut sums: Vec<Planar<f64>> = band.runs.iter().map(|run| Planar::zeros(run.len)).collect();
+    for segments in segments.chunks(TOGETHER) {
+        let straights: Vec<Straight> = segments.iter().map(|s| Straight::new(s, scene, band)).collect();
+        sums.par_iter_mut().zip(&band.runs).for_each(|(sum, run)| {
+            for straight in &straights {
+                if straight.falls() { straight.add_falling(run, sum) } else { straight.add_even(run, sum) }
+            }
+        });
     }
-    sum
+    let (re, im): (Vec<_>, Vec<_>) = sums.into_iter().map(|sum| (sum.re, sum.im)).unzip();
+    Planar { re: re.concat(), im: im.concat() }
 }
 
 /// Tables of one straight movement.
 struct Straight {
     share: f64,
     decay: f64,
-    /// By |cycles| along x and by cycles along y, in a period: turns of half a path, their cosine and sine, and e^{2πi} of its middle.
-    axes: [Vec<(f64, Complex64, Complex64)>; 2],
+    /// By |cycles| along x and by cycles along y, in a period.
+    axes: [Axis; 2],
+}
+
+/// What a movement along one axis gives at each frequency.
+#[derive(Default)]
+struct Axis {
+    /// Turns of half the path, radians.
+    half: Vec<f64>,
+    /// e^{i·half}.
+    turn: Planar<f64>,
+    /// e^{2πi} of the path's middle.
+    middle: Planar<f64>,
+}
+
+impl Axis {
+    fn new(middle: f64, length: f64, period_px: usize, most: usize) -> Self {
+        let cycles = |n: usize| n as f64 / period_px as f64;
+        let half = |n: usize| PI * cycles(n) * length;
+        Self {
+            half: (0..=most).map(half).collect(),
+            turn: Planar::new((0..=most).map(|n| Complex64::cis(half(n)))),
+            middle: Planar::new((0..=most).map(|n| Complex64::cis(TAU * cycles(n) * middle))),
+        }
+    }
+
+    /// At a frequency of either sign.
+    fn at(&self, cycles: i32) -> (f64, Complex64, Complex64) {
+        let n = cycles.unsigned_abs() as usize;
+        let (half, turn, middle) = (self.half[n], self.turn.at(n), self.middle.at(n));
+        if cycles < 0 { (-half, turn.conj(), middle.conj()) } else { (half, turn, middle) }
+    }
 }
 
 impl Straight {
     fn new(segment: &Segment, scene: &Scene, band: &Band) -> Self {
         let [from, to] = segment.sight;
         let (middle, length) = (0.5 * (from + to), to - from);
-        let most = band.most();
-        let axes = [0, 1].map(|axis| {
-            let entry = |n: usize| {
-                let cycles = n as f64 / scene.period_px[axis] as f64;
-                let half = PI * cycles * length[axis];
-                (half, Complex64::cis(half), Complex64::cis(TAU * cycles * middle[axis]))
-            };
-            (0..=most[axis]).map(entry).collect()
-        });
-        Self { share: segment.share, decay: segment.decay, axes }
+        let axis = |a: usize| Axis::new(middle[a], length[a], scene.period_px[a], band.most()[a]);
+        Self { share: segment.share, decay: segment.decay, axes: [0, 1].map(axis) }
     }
 
-    /// Adds the transform at a run of frequencies.
-    fn add(&self, run: &Run, sums: &mut [Complex64]) {
-        let (mut half_x, mut turn_x, mut middle_x) = self.axes[0][run.x.unsigned_abs() as usize];
-        if run.x < 0 {
-            (half_x, turn_x, middle_x) = (-half_x, turn_x.conj(), middle_x.conj());
-        }
-        // A light e^{-λx} on a path: its centre is not the path's, but the integral is as short.
-        let falls = self.decay >= 1e-9;
-        let scale = if falls { self.decay / -(-self.decay).exp_m1() } else { 1.0 };
-        for (sum, (half_y, turn_y, middle_y)) in sums.iter_mut().zip(&self.axes[1][run.y as usize..]) {
-            let half = half_x + half_y;
-            let middle = middle_x * middle_y;
-            // e^{i·half}.
+    /// Whether its light falls on the way.
+    fn falls(&self) -> bool {
+        self.decay >= 1e-9
+    }
+
+    /// Adds the transform of even light at a run of frequencies: `share·e^{2πiν·middle}·sin(half)/half`.
+    fn add_even(&self, run: &Run, sum: &mut Planar<f64>) {
+        let of_x = self.axes[0].at(run.x);
+        let Axis { half, turn, middle } = &self.axes[1];
+        let places = run.y as usize..run.y as usize + run.len;
+        let half = &half[places.clone()];
+        add_sincs(self.share, of_x, half, turn.of(places.clone()), middle.of(places), sum);
+    }
+
+    /// Adds the transform of light e^{-λx} at a run of frequencies: its centre is not the path's, but the integral is as short.
+    fn add_falling(&self, run: &Run, sum: &mut Planar<f64>) {
+        let (half_x, turn_x, middle_x) = self.axes[0].at(run.x);
+        let scale = self.share * self.decay / -(-self.decay).exp_m1();
+        for i in 0..run.len {
+            let (half_y, turn_y, middle_y) = self.axes[1].at(run.y + i as i32);
+            // ∫ e^{-λx} e^{2πi ν·s(x)} dx = e^{2πi ν·s(0)} (e^z - 1)/z with z = -λ + 2i·half.
+            let z = Complex64::new(-self.decay, 2.0 * (half_x + half_y));
             let turn = turn_x * turn_y;
-            *sum += self.share
-                * if falls {
-                    // ∫ e^{-λx} e^{2πi ν·s(x)} dx = e^{2πi ν·s(0)} (e^z - 1)/z with z = -λ + 2i·half.
-                    let z = Complex64::new(-self.decay, 2.0 * half);
-                    let mean = if z.norm_sqr() < 1e-6 {
-                        1.0 + z * (0.5 + z * (1.0 / 6.0 + z / 24.0))
-                    } else {
-                        (turn * turn * (-self.decay).exp() - 1.0) / z
-                    };
-                    middle * turn.conj() * (scale * mean)
-                } else {
-                    middle * if half.abs() < 3e-4 { 1.0 - half * half / 6.0 } else { turn.im / half }
-                };
+            let mean = if z.norm_sqr() < 1e-6 {
+                1.0 + z * (0.5 + z * (1.0 / 6.0 + z / 24.0))
+            } else {
+                (turn * turn * (-self.decay).exp() - 1.0) / z
+            };
+            let value = middle_x * middle_y * turn.conj() * (scale * mean);
+            sum.re[i] += value.re;
+            sum.im[i] += value.im;
         }
+    }
+}
+
+/// Adds `share·m·sin(h)/h`, m the product of middles and h the sum of halves, e^{ih} the product of turns, of a number along x and those along y.
+#[multiversion(targets("x86_64+avx2"))]
+fn add_sincs(
+    share: f64,
+    (half_x, turn_x, middle_x): (f64, Complex64, Complex64),
+    half: &[f64],
+    (turn_re, turn_im): (&[f64], &[f64]),
+    (middle_re, middle_im): (&[f64], &[f64]),
+    sum: &mut Planar<f64>,
+) {
+    let len = half.len();
+    let (turn_re, turn_im) = (&turn_re[..len], &turn_im[..len]);
+    let (middle_re, middle_im) = (&middle_re[..len], &middle_im[..len]);
+    let (re, im) = (&mut sum.re[..len], &mut sum.im[..len]);
+    for i in 0..len {
+        let h = half_x + half[i];
+        let sine = turn_x.re * turn_im[i] + turn_x.im * turn_re[i];
+        let small = h.abs() < 3e-4;
+        let sinc = share * if small { 1.0 - h * h / 6.0 } else { sine / h };
+        re[i] += sinc * (middle_x.re * middle_re[i] - middle_x.im * middle_im[i]);
+        im[i] += sinc * (middle_x.re * middle_im[i] + middle_x.im * middle_re[i]);
     }
 }
 
@@ -152,7 +208,7 @@ mod tests {
         for (i, [x, y]) in band.iter().enumerate() {
             let cycles = DVec2::new(f64::from(x) / 40.0, f64::from(y) / 30.0);
             let exact = light::movement(&segments, cycles);
-            assert!((made[i] - exact).norm() < 1e-9, "{cycles}: {} {exact}", made[i]);
+            assert!((made.at(i) - exact).norm() < 1e-9, "{cycles}: {} {exact}", made.at(i));
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The kept frequencies of the periodic grid, and numbers at them.
 
-use std::ops::{Add, AddAssign, Mul};
+use std::ops::{Add, AddAssign, Mul, Range};
 use std::sync::OnceLock;
 
 use glam::{DVec4, Vec4};
@@ -109,7 +109,7 @@ pub struct Run {
 
 impl Run {
     /// Places of its frequencies among all kept ones.
-    pub fn range(&self) -> std::ops::Range<usize> {
+    pub fn range(&self) -> Range<usize> {
         self.at..self.at + self.len
     }
 }
@@ -169,6 +169,17 @@ impl<T: Real> Planar<T> {
     /// Zeros.
     pub fn zeros(len: usize) -> Self {
         Self { re: vec![T::zero(); len], im: vec![T::zero(); len] }
+    }
+
+    /// One number.
+    #[inline]
+    pub fn at(&self, place: usize) -> Complex<T> {
+        Complex::new(self.re[place], self.im[place])
+    }
+
+    /// Real and imaginary parts of some.
+    pub fn of(&self, places: Range<usize>) -> (&[T], &[T]) {
+        (&self.re[places.clone()], &self.im[places])
     }
 
     /// From numbers.

@@ -1,6 +1,9 @@
 //! An 8-bit RGB picture in memory, and sRGB's transfer curve.
 
+use std::sync::LazyLock;
+
 use super::encode_png;
+use crate::display::Transfer;
 
 /// 8-bit sRGB pixels, rows from the top.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,9 +40,34 @@ impl RgbImage {
     }
 }
 
+/// Steps of linear light in the table of sRGB values: in the dark a value is 20 of them.
+const STEPS: usize = 1 << 16;
+
+static SRGB: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let value = |step: usize| Transfer::Srgb.value(step as f64 / (STEPS - 1) as f64);
+    (0..STEPS).map(|step| (value(step) * 255.0 + 0.5) as u8).collect()
+});
+
 /// The 8-bit sRGB value of linear light, 0 to 1.
-pub(super) fn encode_srgb(light: f32) -> u8 {
-    let light = light.clamp(0.0, 1.0);
-    let value = if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
-    (value * 255.0 + 0.5) as u8
+pub fn encode_srgb(light: f32) -> u8 {
+    // Rounded; a negative number or none becomes 0.
+    SRGB[((light * (STEPS - 1) as f32 + 0.5) as usize).min(STEPS - 1)]
+}
+
+/// Linear light of every 8-bit sRGB value.
+pub fn srgb_light() -> [f64; 256] {
+    std::array::from_fn(|value| Transfer::Srgb.light(value as f64 / 255.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_value_comes_back() {
+        for (value, light) in srgb_light().into_iter().enumerate() {
+            assert_eq!(usize::from(encode_srgb(light as f32)), value);
+        }
+        assert_eq!([-1.0, f32::NAN, 2.0].map(encode_srgb), [0, 0, 255]);
+    }
 }

@@ -10,9 +10,8 @@ mod mosaic;
 mod raster;
 
 use crate::experiment::RangeError;
-use image::encode_srgb;
 
-pub use image::RgbImage;
+pub use image::{RgbImage, encode_srgb, srgb_light};
 pub use mosaic::{Meridian, MosaicView, Strip, draw_each};
 
 /// Outlines and types of cones in retinal coordinates.
@@ -84,11 +83,8 @@ impl View {
         Ok(Self { width: size[0], height: size[1], owners })
     }
 
-    /// A PNG of one frame; `counts` by cone.
-    ///
-    /// # Errors
-    /// When the PNG encoder refuses.
-    pub fn png(&self, shapes: &ConeShapes, counts: &[f64]) -> Result<Vec<u8>, png::EncodingError> {
+    /// One frame; `counts` by cone.
+    pub fn image(&self, shapes: &ConeShapes, counts: &[f64]) -> RgbImage {
         let colours = colours(shapes, counts);
         let mut rgb = Vec::with_capacity(3 * self.width * self.height);
         for row in 0..self.height {
@@ -103,7 +99,15 @@ impl View {
                 rgb.extend(sum.map(encode_srgb));
             }
         }
-        encode_png(self.width as u32, self.height as u32, &rgb)
+        RgbImage { width: self.width as u32, height: self.height as u32, rgb }
+    }
+
+    /// A PNG of one frame; `counts` by cone.
+    ///
+    /// # Errors
+    /// When the PNG encoder refuses.
+    pub fn png(&self, shapes: &ConeShapes, counts: &[f64]) -> Result<Vec<u8>, png::EncodingError> {
+        self.image(shapes, counts).png()
     }
 }
 
@@ -145,6 +149,8 @@ pub fn encode_png(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, png::E
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
     encoder.set_color(png::ColorType::Rgb);
+    // A tenth larger than the default, twenty times as fast.
+    encoder.set_compression(png::Compression::Fast);
     let mut writer = encoder.write_header()?;
     writer.write_image_data(rgb)?;
     writer.finish()?;

@@ -12,7 +12,7 @@ use photoneye_eye::picture::{ConeShapes, RgbImage, View};
 use photoneye_eye::plan::plan;
 use photoneye_eye::retina::Retina;
 use photoneye_eye::video::reader::{Cones, Seen, Signal, signals};
-use photoneye_eye::video::{Limits, Picture, decode_png};
+use photoneye_eye::video::Picture;
 use serde_json::Value;
 
 use super::super::scene::experiment;
@@ -94,7 +94,7 @@ impl Figure {
     /// The picture of a frame.
     ///
     /// # Errors
-    /// When it cannot be encoded.
+    /// When the side is out of range.
     pub fn image(&self, frame: usize, side_px: u32) -> Result<RgbImage, String> {
         let columns = &self.columns;
         let agreement: f64 = columns.x_um.iter().zip(&columns.x_deg).map(|(um, deg)| um * deg).sum();
@@ -106,9 +106,6 @@ impl Figure {
             mirrored: agreement < 0.0,
         };
         let view = View::new(&shapes, side_px).map_err(|e| e.to_string())?;
-        let png = view.png(&shapes, &self.counts[frame]).map_err(|e| e.to_string())?;
-        let picture = decode_png(&png, Limits::default()).map_err(|e| e.to_string())?;
-        let rgb = picture.rgb.iter().map(|v| (v * 255.0).round() as u8).collect();
-        Ok(RgbImage { width: picture.width, height: picture.height, rgb })
+        Ok(view.image(&shapes, &self.counts[frame]))
     }
 }
