@@ -93,7 +93,7 @@ impl ArtifactSpec {
         match self {
             Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 2,
             Self::Wavefronts(_) => 3,
-            Self::Kernels(_) => 10,
+            Self::Kernels(_) => 11,
         }
     }
 

@@ -5,6 +5,7 @@ use crate::optics::Projection;
 use crate::psf::{FieldTable, FieldTableSpec, Wavefront, WavelengthNodes};
 
 use super::kernel::KernelSpec;
+use super::padua::FieldNodes;
 
 /// Spectra of wavefronts that a field point takes: its own, and four beside it for the density.
 const SPECTRA_PER_POINT: usize = 5;
@@ -60,7 +61,7 @@ pub fn table_for(kernels: &[&KernelSpec], projection: &Projection, reach_deg: f6
     let traced = |kernels: &&KernelSpec| {
         let (from, to) = (kernels.nodes_nm.first()?, kernels.nodes_nm.last()?);
         let spectrum = WavelengthNodes::new(projection.eye(), [*from, *to]).nm().len();
-        let points: usize = kernels.field_nodes.iter().map(|n| *n as usize).product();
+        let points: usize = FieldNodes::count(kernels.field_nodes) as usize;
         Some(SPECTRA_PER_POINT * points * spectrum.min(kernels.nodes_nm.len()))
     };
     let saved: usize = kernels.iter().filter_map(traced).sum();

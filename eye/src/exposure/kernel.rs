@@ -3,7 +3,7 @@
 //! For primary k, kind T (isomerized in L, M, S; arriving) and a place on the retina (field point f, eccentricity e):
 //! `K(ν) = Σ_m w_{kTe,m} OTF_f(λ_m, J⁻ᵀν) exp(-2πi J⁻ᵀν·δ_f(λ_m))`, ν in cycles per unit tangent of the screen, J the
 //! magnification (µm per unit tangent) at f, δ the landing point of the chief ray at λ_m from that at 543 nm (transverse chromatic
-//! shift). Between places K is interpolated by Lagrange polynomials over Chebyshev nodes; a low-rank basis then spans all places and
+//! shift). Between places K is interpolated by Lagrange polynomials over Padua points of the field ([`super::padua`]) and Chebyshev nodes of eccentricity; a low-rank basis then spans all places and
 //! types of cones ([`super::lowrank`]), so that a cone's mean is a short sum of basis images.
 //!
 //! Absolute: K(0) is the share of photons through the entrance pupil that is counted; nothing is renormalized.
@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use super::density::densities;
 use super::field::Field;
 use super::lowrank::{add, compress, compress_together};
+use super::padua::FieldNodes;
 use super::polar::PolarShape;
 use super::spectral::{ARRIVING, Absorbers, KINDS, Paths, Share, paths_at};
 use super::transfer::{FieldPoint, Transfer, extent, transfer_table};
@@ -27,7 +28,7 @@ use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
 use crate::psf::{FieldTable, FieldTableSpec, Wavefront};
 use crate::spectrum::Spectrum;
 
-const MAGIC: [u8; 8] = *b"PEkernl3";
+const MAGIC: [u8; 8] = *b"PEkernl4";
 /// Diameter of the smallest cones, µm: frequencies that such an aperture averages away weigh less in the basis.
 const APERTURE_UM: f64 = 2.0;
 /// µm of retina per unit tangent near the fovea, for that weight only.
@@ -50,8 +51,8 @@ pub struct KernelSpec {
     pub distance_mm: f64,
     /// Rectangle of the retina, µm: minimum and maximum.
     pub field_um: [DVec2; 2],
-    /// Chebyshev nodes of the field, x and y.
-    pub field_nodes: [u32; 2],
+    /// Points of the field along each side, see [`super::padua`].
+    pub field_nodes: u32,
     /// Range of visual eccentricity, degrees.
     pub ecc_deg: [f64; 2],
     /// Chebyshev nodes of the eccentricity.
@@ -152,6 +153,7 @@ impl Place {
 #[derive(Clone, Debug)]
 pub struct Kernels {
     head: Head,
+    field: FieldNodes,
     /// `[basis][r][primary][sample]`.
     tables: [Vec<Vec<Vec<Complex64>>>; 2],
 }
@@ -188,12 +190,8 @@ impl KernelSpec {
         nodes::chebyshev(self.ecc_deg[0], self.ecc_deg[1], self.ecc_nodes as usize)
     }
 
-    fn field_axes(&self) -> [Vec<f64>; 2] {
-        let [min, max] = self.field_um;
-        [
-            nodes::chebyshev(min.x, max.x, self.field_nodes[0] as usize),
-            nodes::chebyshev(min.y, max.y, self.field_nodes[1] as usize),
-        ]
+    fn field(&self) -> FieldNodes {
+        FieldNodes::new(self.field_um, self.field_nodes)
     }
 
     /// Computes the kernels, with the table that [`KernelSpec::wavefronts`] names.
@@ -202,13 +200,12 @@ impl KernelSpec {
     /// When a field point is not seen or an eye cannot be traced.
     pub fn build(&self, table: Option<&FieldTable>) -> Result<Kernels, String> {
         let projection = self.projection()?;
-        let [xs, ys] = self.field_axes();
-        let mut points = Vec::new();
-        for &y in &ys {
-            for &x in &xs {
-                points.push(FieldPoint::new(&projection, DVec2::new(x, y))?);
-            }
-        }
+        let points: Vec<FieldPoint> = self
+            .field()
+            .points()
+            .iter()
+            .map(|um| FieldPoint::new(&projection, *um))
+            .collect::<Result<_, _>>()?;
         // Everything in the order of points and wavelengths, whatever thread computes it.
         let rho = self.stiles_crawford_rho10_per_mm2;
         let field = Field::new(&projection, table);
@@ -248,6 +245,7 @@ impl KernelSpec {
                 throughput,
                 paths: self.mean_paths(&paths),
             },
+            field: self.field(),
             tables,
         })
     }
@@ -398,17 +396,13 @@ impl Kernels {
 
     /// Coefficients `[r]` of a kind's basis at a place of the retina (µm) with a visual eccentricity (degrees).
     pub fn coefficients(&self, kind: usize, um: DVec2, ecc_deg: f64) -> Vec<f64> {
-        let [xs, ys] = self.head.spec.field_axes();
-        let (at_x, at_y) = (nodes::lagrange(&xs, um.x), nodes::lagrange(&ys, um.y));
+        let at_field = self.field.weights(um);
         let at_e = nodes::lagrange(&self.head.spec.ecc_values(), ecc_deg);
         let mut sum = vec![0.0; self.rank(kind)];
         let from_basis = &self.head.kinds[kind].from_basis;
-        for (iy, wy) in at_y.iter().enumerate() {
-            for (ix, wx) in at_x.iter().enumerate() {
-                for (ie, we) in at_e.iter().enumerate() {
-                    let row = &from_basis[(iy * xs.len() + ix) * at_e.len() + ie];
-                    sum.iter_mut().zip(row).for_each(|(s, u)| *s += wx * wy * we * u);
-                }
+        for (wf, rows) in at_field.iter().zip(from_basis.chunks_exact(at_e.len().max(1))) {
+            for (we, row) in at_e.iter().zip(rows) {
+                sum.iter_mut().zip(row).for_each(|(s, u)| *s += wf * we * u);
             }
         }
         sum
@@ -447,6 +441,6 @@ impl Kernels {
         let mut next = || parts.next().map(<[Complex64]>::to_vec).unwrap_or_default();
         let tables =
             head.ranks.map(|rank| (0..rank).map(|_| (0..primaries).map(|_| next()).collect()).collect());
-        Ok(Self { head, tables })
+        Ok(Self { field: head.spec.field(), head, tables })
     }
 }

@@ -22,6 +22,7 @@ mod kernel;
 mod light;
 mod lowrank;
 pub(crate) mod nodes;
+pub(crate) mod padua;
 mod paper;
 mod picture_spectrum;
 mod pixel_light;

@@ -9,6 +9,7 @@ use super::PlannedTile;
 use super::engine::IMAGES;
 use super::setup::Setup;
 use crate::experiment::Experiment;
+use crate::exposure::padua::FieldNodes;
 use crate::exposure::spectral::KINDS;
 use crate::exposure::{KernelSpec, PolarShape, TABLE_TOLERANCE, TRANSFER_BLOCK};
 use crate::retina::{Density, RegionUm, tiles_for};
@@ -179,7 +180,7 @@ fn kernel_cost(experiment: &Experiment, kernels: &KernelSpec) -> KernelCost {
     let pupil = (experiment.eye.pupil_mm / 3.0).max(0.5);
     let cycles = 1e-4 * kernels.band * pupil.powi(3);
     let shape = PolarShape::for_cycles(kernels.band, [cycles, 2.0], TABLE_TOLERANCE * kernels.tolerance);
-    let points = f64::from(kernels.field_nodes[0] * kernels.field_nodes[1]);
+    let points = f64::from(FieldNodes::count(kernels.field_nodes));
     let transfers = points * kernels.nodes_nm.len() as f64;
     let seconds =
         transfers * (SECONDS_PER_TRANSFER * (1.0 + 0.05 * pupil.powi(6)) + 1e-7 * shape.len() as f64);

@@ -24,6 +24,7 @@ use crate::display::emitters;
 use crate::experiment::{Engine, Experiment};
 use crate::exposure::KernelSpec;
 use crate::exposure::field::table_for;
+use crate::exposure::padua::FieldNodes;
 use crate::exposure::scene::Scene;
 use crate::exposure::spectral::Absorbers;
 use crate::media::Media;
@@ -150,7 +151,7 @@ pub fn plan_on(experiment: &Experiment, machine: &Machine) -> Result<Plan, PlanE
     let wavelengths = lit_wavelengths(experiment)?;
     let tiles = planned_tiles(experiment, &setup, &wavelengths.nodes_nm)?;
     let cost = cost::predict(experiment, &setup, &tiles, machine);
-    let field_nodes = tiles.iter().map(|t| t.kernels.field_nodes.iter().product::<u32>()).sum();
+    let field_nodes = tiles.iter().map(|t| FieldNodes::count(t.kernels.field_nodes)).sum();
     let grid = tiles.iter().fold([0, 0], |g, t| [g[0].max(t.scene.samples[0]), g[1].max(t.scene.samples[1])]);
     let error_estimate = error::estimate(experiment, &tiles, &wavelengths);
     if !error::is_met(experiment, &error_estimate) {
@@ -299,10 +300,10 @@ fn half_side_deg(tile: &RegionUm) -> f64 {
     0.5 * (tile.max - tile.min).max_element() / setup::UM_PER_TANGENT * 180.0 / std::f64::consts::PI
 }
 
-/// Nodes along each side of a tile at which the optics are computed.
-fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> [u32; 2] {
+/// Points along each side of a tile at which the optics are computed.
+fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> u32 {
     if let Some(nodes) = experiment.counts.knobs.field_nodes {
-        return [nodes; 2];
+        return nodes;
     }
     let nodes = match half_side_deg(tile) {
         _ if !Rule::FieldNodes.applies(experiment) => 4,
@@ -310,7 +311,7 @@ fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> [u32; 2] {
         half if half < 1.2 => 2,
         _ => 3,
     };
-    [nodes + Numerics::new(experiment).finer_field; 2]
+    nodes + Numerics::new(experiment).finer_field
 }
 
 /// Part of the cones' pigment that is not bleached.
