@@ -5,7 +5,7 @@
 //! `t = −(S₀ + 3 S_c cos 2θ + 3 S_s sin 2θ)/(4π² r³)` (in two dimensions |ν| has the transform −1/(4π² r³); a second harmonic, three times
 //! that). A cone at x counts too much from the copies, `Σ_{n≠0} ∫ L(y) t(x − y − nP) dy`, and misses the screen beyond the window.
 //!
-//! The light is taken in blocks a third (beyond the window half) as wide as they are far. The sum over copies is direct for the nearest, the rest an integral.
+//! The light is taken in blocks at most a third (beyond the window half) as wide as they, or their nearest copies, are far. The sum over copies is direct for the nearest, the rest an integral.
 //! The correction is made at Chebyshev nodes over the cones, read out on a fine grid and interpolated linearly at each cone. Movement within
 //! a frame is small against the distances and left out.
 //!
@@ -46,6 +46,9 @@ struct Reader {
     factor: f32,
 }
 
+/// First column and row of a block of pixels, and those behind its last.
+type Block = [u32; 4];
+
 /// A block of the screen beyond the window, with a few of its pixels.
 struct Beyond {
     /// Pixels of the display that are looked at.
@@ -56,10 +59,10 @@ struct Beyond {
 
 /// The correction of a scene.
 pub struct Tail {
-    /// Blocks along each side of the window, and their side, pixels.
-    blocks: [usize; 2],
-    block_px: usize,
-    size_px: [usize; 2],
+    /// Blocks of the window.
+    blocks: Vec<Block>,
+    /// Columns of the window.
+    width_px: usize,
     beyond: Vec<Beyond>,
     /// `[term][node][block]`: tails at the nodes of a photon a block; blocks of the window (their copies, negative), then those beyond.
     responses: Vec<Vec<f32>>,
@@ -80,20 +83,9 @@ impl Tail {
             return None;
         }
         let (min, max) = bounds(cones.cones.iter().flat_map(|c| c.polygon_px.iter().copied()));
-        let size_px = scene.size_px.map(|s| s as usize);
-        let size = DVec2::new(size_px[0] as f64, size_px[1] as f64);
         let period = DVec2::new(scene.period_px[0] as f64, scene.period_px[1] as f64);
-        let gap = (period - max.max(max - min).max(size - min)).min_element().max(1.0);
-        let block_px = ((gap / 3.0) as usize).max(1);
-        let blocks = size_px.map(|s| s.div_ceil(block_px));
-        let middles = (0..blocks[0] * blocks[1]).map(|b| {
-            let along = |at: usize, axis: usize| {
-                let from = at * block_px;
-                0.5 * (from + (from + block_px).min(size_px[axis])) as f64
-            };
-            DVec2::new(along(b % blocks[0], 0), along(b / blocks[0], 1))
-        });
-        let middles: Vec<DVec2> = middles.collect();
+        let blocks = blocks(scene, period, [min, max]);
+        let middles: Vec<DVec2> = blocks.iter().map(|block| middle(corners(block))).collect();
         let (beyond, places) = beyond(projector, scene, [min, max]);
         let [xs, ys] = [0, 1].map(|axis| chebyshev(min[axis], max[axis].max(min[axis] + 1e-9), NODES));
         let nodes: Vec<DVec2> = ys.iter().flat_map(|y| xs.iter().map(move |x| DVec2::new(*x, *y))).collect();
@@ -136,8 +128,7 @@ impl Tail {
             .collect();
         Some(Self {
             blocks,
-            block_px,
-            size_px,
+            width_px: scene.size_px[0] as usize,
             beyond,
             responses: (0..TERMS).map(term).collect(),
             slopes,
@@ -179,7 +170,7 @@ impl Tail {
 
     /// A primary's light by block: of the window, then beyond.
     fn light(&self, primary: usize, shown: &Shown, source: &Source, projector: &Projector) -> Vec<f64> {
-        let mut light = vec![0.0; self.blocks[0] * self.blocks[1]];
+        let mut light = vec![0.0; self.blocks.len()];
         for layer in &source.primaries[primary].layers {
             let (sent, blocks) = (layer.sent(), layer.light.blocks(|light| self.by_block(light)));
             light.iter_mut().zip(blocks).for_each(|(light, block)| *light += sent * block);
@@ -197,14 +188,12 @@ impl Tail {
 
     /// Sums over the blocks of the window of its pixels' values.
     fn by_block(&self, values: &[f64]) -> Vec<f64> {
-        let mut sums = vec![0.0; self.blocks[0] * self.blocks[1]];
-        for (row, line) in values.chunks_exact(self.size_px[0]).enumerate() {
-            let blocks = &mut sums[row / self.block_px * self.blocks[0]..][..self.blocks[0]];
-            for (block, part) in blocks.iter_mut().zip(line.chunks(self.block_px)) {
-                *block += part.iter().sum::<f64>();
-            }
-        }
-        sums
+        let sum = |block: &Block| {
+            let [x0, y0, x1, y1] = block.map(|at| at as usize);
+            let rows = values[y0 * self.width_px..y1 * self.width_px].chunks_exact(self.width_px);
+            rows.map(|row| row[x0..x1].iter().sum::<f64>()).sum()
+        };
+        self.blocks.iter().map(sum).collect()
     }
 
     /// Values at the nodes on the fine grid, `[y][x]`.
@@ -284,41 +273,69 @@ fn slopes(
     (0..kernels.spec().primaries.len()).map(of_primary).collect()
 }
 
+/// Blocks of the window, each a third as wide as its nearest copy is far from the cones.
+fn blocks(scene: &Scene, period: DVec2, [min, max]: [DVec2; 2]) -> Vec<Block> {
+    let [width, height] = scene.size_px;
+    let gap = |[from, to]: [DVec2; 2]| {
+        let copies = (-1..=1).flat_map(|x| (-1..=1).map(move |y| (x, y))).filter(|copy| *copy != (0, 0));
+        let of = |(x, y): (i32, i32)| {
+            let moved = period * DVec2::new(f64::from(x), f64::from(y));
+            (min - to - moved).max(from + moved - max).max(DVec2::ZERO).length()
+        };
+        copies.map(of).fold(f64::MAX, f64::min)
+    };
+    halved(vec![[0, 0, width, height]], |corners| gap(corners) / 3.0)
+}
+
+/// Rectangles, halved until none is wider than `most` of its corners, pixels, or a pixel.
+fn halved(mut open: Vec<Block>, most: impl Fn([DVec2; 2]) -> f64) -> Vec<Block> {
+    let mut done = Vec::new();
+    while let Some(block) = open.pop() {
+        let [x0, y0, x1, y1] = block;
+        let size = [x1.saturating_sub(x0), y1.saturating_sub(y0)];
+        if size.contains(&0) {
+            continue;
+        }
+        if f64::from(size[0].max(size[1])) <= most(corners(&block)).max(1.0) {
+            done.push(block);
+        } else if size[0] >= size[1] {
+            let x = x0.midpoint(x1);
+            open.extend([[x0, y0, x, y1], [x, y0, x1, y1]]);
+        } else {
+            let y = y0.midpoint(y1);
+            open.extend([[x0, y0, x1, y], [x0, y, x1, y1]]);
+        }
+    }
+    done
+}
+
+/// Two corners of a block.
+fn corners(block: &Block) -> [DVec2; 2] {
+    let [x0, y0, x1, y1] = block.map(f64::from);
+    [DVec2::new(x0, y0), DVec2::new(x1, y1)]
+}
+
+fn middle([from, to]: [DVec2; 2]) -> DVec2 {
+    0.5 * (from + to)
+}
+
 /// Blocks of the screen beyond the window, with their middles in pixels from the window's corner.
 fn beyond(projector: &Projector, scene: &Scene, [min, max]: [DVec2; 2]) -> (Vec<Beyond>, Vec<DVec2>) {
     let [width, height] = [projector.display.width_px, projector.display.height_px];
     let ([left, top], [across, down]) = (scene.first_px, scene.size_px);
     let (right, bottom) = (left + across, top + down);
-    let mut open = vec![
+    let around = vec![
         [0, 0, width, top],
         [0, bottom, width, height],
         [0, top, left, bottom],
         [right, top, width, bottom],
     ];
     let corner = DVec2::new(f64::from(left), f64::from(top));
+    let gap = |[from, to]: [DVec2; 2]| (min - to).max(from - max).max(DVec2::ZERO).length();
+    let seen = |block: [DVec2; 2]| block.map(|at| at - corner);
     let (mut blocks, mut places) = (Vec::new(), Vec::new());
-    while let Some([x0, y0, x1, y1]) = open.pop() {
-        if x0 >= x1 || y0 >= y1 {
-            continue;
-        }
-        let (from, to) = (
-            DVec2::new(f64::from(x0), f64::from(y0)) - corner,
-            DVec2::new(f64::from(x1), f64::from(y1)) - corner,
-        );
-        let middle = 0.5 * (from + to);
-        let gap = (min - to).max(from - max).max(DVec2::ZERO).length();
-        let size = to - from;
-        if size.max_element() > (0.5 * gap).max(1.0) {
-            // Halve the longer side.
-            if size.x >= size.y {
-                let x = x0.midpoint(x1);
-                open.extend([[x0, y0, x, y1], [x, y0, x1, y1]]);
-            } else {
-                let y = y0.midpoint(y1);
-                open.extend([[x0, y0, x1, y], [x0, y, x1, y1]]);
-            }
-            continue;
-        }
+    for block in halved(around, |corners| 0.5 * gap(seen(corners))) {
+        let [x0, y0, x1, y1] = block;
         let (columns, rows) = ((x1 - x0).min(LOOKS), (y1 - y0).min(LOOKS));
         // Odd steps through the pixels: a regular pattern is not met always at the same phase.
         let place = |i: u32, n: u32, size: u32, other: u32| {
@@ -328,8 +345,8 @@ fn beyond(projector: &Projector, scene: &Scene, [min, max]: [DVec2; 2]) -> (Vec<
             .flat_map(|j| (0..columns).map(move |i| (i, j)))
             .map(|(i, j)| [x0 + place(i, columns, x1 - x0, j), y0 + place(j, rows, y1 - y0, i)])
             .collect();
-        blocks.push(Beyond { each: size.x * size.y / pixels.len() as f64, pixels });
-        places.push(middle);
+        blocks.push(Beyond { each: f64::from(x1 - x0) * f64::from(y1 - y0) / pixels.len() as f64, pixels });
+        places.push(middle(seen(corners(&block))));
     }
     (blocks, places)
 }

@@ -311,7 +311,7 @@ fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> u32 {
         half if half < 1.2 => 2,
         _ => 3,
     };
-    nodes + Numerics::new(experiment).finer_field
+    (nodes + Numerics::new(experiment).finer_field).max(1) as u32
 }
 
 /// Part of the cones' pigment that is not bleached.
