@@ -12,7 +12,7 @@ use super::cones::{ConeTable, MappedCone};
 use super::grid::Real;
 use super::images::{SHEET, Sheet, Span};
 use super::scene::Scene;
-use super::spread::{COLUMNS, Spread, polygon_nodes};
+use super::spread::{COLUMNS, Spread, SpreadTable, polygon_nodes};
 
 /// The weights of all cones on the grid.
 #[derive(Default)]
@@ -34,6 +34,7 @@ impl Stencils {
     /// The weights of a scene's cones.
     pub fn new(scene: &Scene, spread: &Spread, cones: &ConeTable) -> Self {
         let per_px = scene.samples_per_px();
+        let spread = SpreadTable::new(spread);
         let weights_of = |cone: &MappedCone| {
             // Positions in samples, areas in pixels.
             let nodes: Vec<_> =

@@ -61,6 +61,34 @@ impl Spread {
             })
             .sum()
     }
+}
+
+/// The spreading kernel at equal steps, to be read linearly between them: within 1e-6 of it.
+pub struct SpreadTable {
+    width: usize,
+    per_sample: f64,
+    /// From the middle outwards, and two zeros.
+    values: Vec<f64>,
+}
+
+/// Steps of the table from the middle to the edge.
+const STEPS: usize = 4096;
+
+impl SpreadTable {
+    /// Of a kernel.
+    pub fn new(spread: &Spread) -> Self {
+        let per_sample = STEPS as f64 / (0.5 * spread.width as f64);
+        let value = |i: usize| spread.value(i as f64 / per_sample);
+        Self { width: spread.width, per_sample, values: (0..STEPS).map(value).chain([0.0; 2]).collect() }
+    }
+
+    /// The kernel at a distance in samples.
+    fn value(&self, samples: f64) -> f64 {
+        let at = (samples.abs() * self.per_sample).min(STEPS as f64);
+        let below = at as usize;
+        let [a, b] = [self.values[below], self.values[below + 1]];
+        a + (b - a) * (at - below as f64)
+    }
 
     /// The weights of quadrature nodes given in samples, on a grid of `grid` columns and rows.
     pub fn weights(&self, nodes: &[Node], grid: [usize; 2]) -> ConeWeights {
@@ -151,7 +179,7 @@ mod tests {
             let square =
                 [DVec2::new(-1.0, -1.0), DVec2::new(1.0, -1.0), DVec2::new(1.0, 1.0), DVec2::new(-1.0, 1.0)]
                     .map(|c| centre + half * c);
-            let weights = spread.weights(&polygon_nodes(&square), [samples; 2]);
+            let weights = SpreadTable::new(&spread).weights(&polygon_nodes(&square), [samples; 2]);
             let mut sum = 0.0;
             for (i, w) in weights.values.iter().enumerate() {
                 let column = (weights.first[0] as usize + i % weights.size[0] as usize) % samples;
