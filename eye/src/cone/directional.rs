@@ -10,13 +10,16 @@
 
 /// Nodes of the radial sum.
 const NODES: usize = 64;
+/// Terms of the power series of I₀, whose arguments here stay below 20.
+const TERMS: usize = 64;
 
 /// The pointing factor of cones for one pupil.
 #[derive(Clone, Debug)]
 pub struct Pointing {
     /// κ = ρ ln 10, 1/mm².
     kappa: f64,
-    radius_mm: f64,
+    /// Over r in the pupil the mean of e^(-κr²) times the k-th term of I₀(2κrc) over c^2k.
+    moments: Vec<f64>,
     centred: f64,
     /// Distance in the entrance pupil per angle at the cone, mm/rad.
     mm_per_radian: f64,
@@ -26,14 +29,19 @@ impl Pointing {
     /// For a coefficient (1/mm², base 10), an entrance pupil (diameter, mm) and the eye's distance in the entrance pupil per
     /// angle at the cone (mm/rad).
     pub fn new(rho10_per_mm2: f64, pupil_mm: f64, mm_per_radian: f64) -> Self {
-        let mut pointing = Self {
-            kappa: rho10_per_mm2 * std::f64::consts::LN_10,
-            radius_mm: pupil_mm / 2.0,
-            centred: 1.0,
-            mm_per_radian,
-        };
-        pointing.centred = pointing.mean(0.0);
-        pointing
+        let kappa = rho10_per_mm2 * std::f64::consts::LN_10;
+        let mut moments = vec![0.0; TERMS];
+        for i in 0..NODES {
+            let share = (i as f64 + 0.5) / NODES as f64;
+            let square = (0.5 * pupil_mm).powi(2) * share;
+            let mut term = (-kappa * square).exp() / NODES as f64;
+            for (k, moment) in moments.iter_mut().enumerate() {
+                *moment += term;
+                term *= kappa * kappa * square / ((k + 1) * (k + 1)) as f64;
+            }
+        }
+        let centred = moments[0];
+        Self { kappa, moments, centred, mm_per_radian }
     }
 
     /// Factor on the light caught by a cone whose axis is off by the angle (radians).
@@ -46,32 +54,19 @@ impl Pointing {
         self.centred
     }
 
-    /// The pupil's mean of exp(-κ |r - c|²) = e^(-κc²) ∫ e^(-κr²) I₀(2κrc) 2r dr / a², midpoint rule in r².
+    /// The pupil's mean of exp(-κ |r - c|²) = e^(-κc²) ∫ e^(-κr²) I₀(2κrc) 2r dr / a², midpoint rule in r², I₀(x) = Σ (x/2)^2k/k!².
     fn mean(&self, aim_mm: f64) -> f64 {
-        let step = 1.0 / NODES as f64;
-        let sum: f64 = (0..NODES)
-            .map(|i| {
-                let r = self.radius_mm * ((i as f64 + 0.5) * step).sqrt();
-                (-self.kappa * r * r).exp() * bessel_i0(2.0 * self.kappa * r * aim_mm)
-            })
-            .sum();
-        (-self.kappa * aim_mm * aim_mm).exp() * sum * step
-    }
-}
-
-/// Modified Bessel function I₀ by its power series; the arguments here stay below 20.
-fn bessel_i0(x: f64) -> f64 {
-    let quarter = 0.25 * x * x;
-    let mut term = 1.0;
-    let mut sum = 1.0;
-    for k in 1..64 {
-        term *= quarter / f64::from(k * k);
-        sum += term;
-        if term < 1e-17 * sum {
-            break;
+        let square = aim_mm * aim_mm;
+        let (mut power, mut sum) = (1.0, 0.0);
+        for moment in &self.moments {
+            sum += moment * power;
+            power *= square;
+            if moment * power < 1e-17 * sum {
+                break;
+            }
         }
+        (-self.kappa * square).exp() * sum
     }
-    sum
 }
 
 #[cfg(test)]
