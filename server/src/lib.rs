@@ -68,6 +68,8 @@ pub struct Options {
     pub store_max_bytes: Option<u64>,
     /// The time that leases and records go by.
     pub clock: Clock,
+    /// Work only on jobs that are made in this process: those that wait in the folder stay there for a server.
+    pub local_only: bool,
 }
 
 impl Options {
@@ -81,6 +83,7 @@ impl Options {
             limits: Limits::default(),
             store_max_bytes: None,
             clock: Clock::new(),
+            local_only: false,
         }
     }
 }
@@ -150,6 +153,7 @@ impl Server {
             metrics: metrics::Metrics::default(),
             unpacking: tokio::sync::Semaphore::new(service::UNPACKED),
             plans: prepare::Plans::default(),
+            local_only: options.local_only,
             speed: speed(&options.data_dir),
         });
         let keys = service.access.asks().await.map_err(|error| StartError::Database(file, error))?;

@@ -94,6 +94,8 @@ pub struct Service {
     pub unpacking: Semaphore,
     /// The last plans.
     pub plans: Plans,
+    /// Only jobs that were made in this process are worked on; the others wait for another one.
+    pub local_only: bool,
     /// How fast the machine is, for predictions.
     pub speed: photoneye_eye::plan::Machine,
 }

@@ -16,7 +16,7 @@ use crate::error::{Error, Kind};
 use crate::fleet::Word;
 use crate::jobs::lease::TTL_MS;
 use crate::jobs::state::{Summary, WorkId};
-use crate::jobs::{Command, Commit, Reply, State};
+use crate::jobs::{Ask, Command, Commit, Reply, State};
 use crate::service::{Service, unexpected};
 
 /// Longest wait for work, ms.
@@ -34,16 +34,16 @@ impl Workers for Door {
         self.0.metrics.worker_misses.fetch_add(request.cache_misses(), Ordering::Relaxed);
         let wait = Duration::from_millis(u64::from(request.wait_ms().min(MAX_WAIT_MS)));
         let until = tokio::time::Instant::now() + wait;
-        let holds = request.holds.iter().cloned().collect();
-        let most = self.0.limits.tenant_leases;
+        let ask = Ask {
+            worker: request.worker().to_owned(),
+            local,
+            holds: request.holds.iter().cloned().collect(),
+            most: self.0.limits.tenant_leases,
+            local_only: self.0.local_only,
+        };
         loop {
             let wait = until.saturating_duration_since(tokio::time::Instant::now());
-            let leased = self
-                .0
-                .machine
-                .lease(most, request.worker(), local, &holds, wait)
-                .await
-                .map_err(Error::from)?;
+            let leased = self.0.machine.lease(&ask, wait).await.map_err(Error::from)?;
             let Some((id, fence)) = leased else {
                 return Ok(Response::new(v1::LeaseReply {
                     work: Some(Work::Nothing(Nothing {})),
