@@ -4,6 +4,7 @@
 
 pub mod access;
 mod admit;
+mod ahead;
 mod cones;
 pub mod doctor;
 pub mod error;
@@ -152,6 +153,7 @@ impl Server {
             fleet: fleet::Fleet::default(),
             metrics: metrics::Metrics::default(),
             unpacking: tokio::sync::Semaphore::new(service::UNPACKED),
+            ahead: ahead::Places::default(),
             plans: prepare::Plans::default(),
             local_only: options.local_only,
             speed: speed(&options.data_dir),

@@ -9,6 +9,7 @@ use photoneye_store::{BlobDigest, Blobs};
 use tokio::sync::Semaphore;
 
 use crate::access::{Access, Caller, Role};
+use crate::ahead::Places;
 use crate::error::{Error, Kind};
 use crate::fleet::Fleet;
 use crate::jobs::{Command, Job, Machine, Record, Reply, State};
@@ -92,6 +93,8 @@ pub struct Service {
     pub metrics: Metrics,
     /// Turns at unpacking a chunk: meanwhile it takes several times its size.
     pub unpacking: Semaphore,
+    /// Places of chunks that are read ahead.
+    pub ahead: Places,
     /// The last plans.
     pub plans: Plans,
     /// Only jobs that were made in this process are worked on; the others wait for another one.
