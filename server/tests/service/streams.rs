@@ -68,6 +68,30 @@ async fn a_stream_goes_on_from_any_number() {
     server.shutdown().await;
 }
 
+/// Other changes wait for their tenth of a second.
+#[tokio::test]
+async fn the_end_of_a_job_is_told_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = start(folder.path()).await;
+    let mut client = ExperimentsClient::new(server.channel());
+    let mut delays = Vec::new();
+    for _ in 0..5 {
+        let job = post(server.local_addr(), "/v1/jobs", &spec()).await.json();
+        let request = v1::WatchJobRequest { id: job["id"].as_str().map(str::to_owned), after: None };
+        let mut events = client.watch_job(request).await.unwrap().into_inner();
+        let mut last = events.message().await.unwrap().unwrap();
+        work(&server.channel()).await;
+        let ended = std::time::Instant::now();
+        while let Some(event) = events.message().await.unwrap() {
+            last = event;
+        }
+        delays.push(ended.elapsed());
+        assert_eq!(last.job.unwrap().state(), v1::job::State::Succeeded);
+    }
+    assert!(delays.iter().min() < Some(&std::time::Duration::from_millis(50)), "{delays:?}");
+    server.shutdown().await;
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn twenty_stalled_readers_cost_a_chunk_each() {
     let folder = tempfile::tempdir().unwrap();
