@@ -69,6 +69,8 @@ impl Service {
         let mut options = photoneye_server::Options::new(&data);
         // A free port of this machine; nobody is told which.
         options.listen.set_port(0);
+        // Who runs one experiment does not want to wait for those of others.
+        options.local_only = true;
         let embedded = Embedded::start(options, settings.workers(place.workers)).await?;
         Ok(Self { client: Client::from_channel(embedded.channel.clone()), embedded: Some(embedded) })
     }

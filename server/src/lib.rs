@@ -4,6 +4,7 @@
 
 pub mod access;
 mod admit;
+mod ahead;
 mod cones;
 pub mod doctor;
 pub mod error;
@@ -68,6 +69,8 @@ pub struct Options {
     pub store_max_bytes: Option<u64>,
     /// The time that leases and records go by.
     pub clock: Clock,
+    /// Work only on jobs that are made in this process: those that wait in the folder stay there for a server.
+    pub local_only: bool,
 }
 
 impl Options {
@@ -81,6 +84,7 @@ impl Options {
             limits: Limits::default(),
             store_max_bytes: None,
             clock: Clock::new(),
+            local_only: false,
         }
     }
 }
@@ -149,7 +153,9 @@ impl Server {
             fleet: fleet::Fleet::default(),
             metrics: metrics::Metrics::default(),
             unpacking: tokio::sync::Semaphore::new(service::UNPACKED),
+            ahead: ahead::Places::default(),
             plans: prepare::Plans::default(),
+            local_only: options.local_only,
             speed: speed(&options.data_dir),
         });
         let keys = service.access.asks().await.map_err(|error| StartError::Database(file, error))?;

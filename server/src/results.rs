@@ -1,4 +1,5 @@
-//! Results: chunks in the order of commits, whole arrays, cone tables and pictures. One chunk is in memory at a time.
+//! Results: chunks in the order of commits, whole arrays, cone tables and pictures. One chunk of a stream is in memory at a time, and of a
+//! few streams the next one.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
@@ -12,6 +13,7 @@ use photoneye_store::npy::{self, Scalar};
 use photoneye_store::photons::{PhotonsTable, read_photons};
 use photoneye_store::table::{Chunk, CountsTable, CountsVec, read_counts, read_counts_le};
 
+use crate::ahead::Ahead;
 use crate::error::{Error, Kind};
 use crate::jobs::{Command, JobState};
 use crate::service::Service;
@@ -21,7 +23,8 @@ const REMAKE: Duration = Duration::from_mins(2);
 
 /// What follows in the stream of results.
 enum Next {
-    Chunk(v1::ResultChunk, BlobDigest),
+    /// A chunk without its bytes, their digest, and the digest of the chunk behind it.
+    Chunk(v1::ResultChunk, BlobDigest, Option<BlobDigest>),
     Wait,
     End(Option<Error>),
 }
@@ -40,12 +43,14 @@ impl Service {
         Ok(async_stream::try_stream! {
             let mut changes = self.machine.changes();
             let mut seq = from.max(1);
+            let mut ahead = None;
             loop {
                 changes.mark_unchanged();
                 match self.next(&id, seq).await? {
-                    Next::Chunk(mut chunk, digest) => {
+                    Next::Chunk(mut chunk, digest, behind) => {
                         let (frame, tile) = (chunk.frame(), chunk.tile());
-                        chunk.bytes = Some(self.chunk_bytes(&id, frame, tile, digest).await?.into());
+                        chunk.bytes = Some(self.chunk_bytes(&id, frame, tile, digest, ahead).await?.into());
+                        ahead = behind.and_then(|digest| self.ahead.read(&self.blobs, digest));
                         self.metrics.result_bytes.fetch_add(chunk.bytes().len() as u64, Relaxed);
                         yield chunk;
                         seq += 1;
@@ -64,9 +69,11 @@ impl Service {
 
     async fn next(&self, id: &str, seq: u64) -> Result<Next, Error> {
         self.look(id, |_, job| {
-            let place = job.order.get(seq as usize - 1);
-            let chunk = place.and_then(|place| Some((place, job.chunks.get(place)?)));
-            match (chunk, job.state) {
+            let chunk_at = |seq: u64| {
+                let place = job.order.get(seq as usize - 1)?;
+                Some((place, job.chunks.get(place)?))
+            };
+            match (chunk_at(seq), job.state) {
                 (Some(((frame, tile), chunk)), _) => {
                     let message = v1::ResultChunk {
                         seq: Some(seq),
@@ -77,7 +84,8 @@ impl Service {
                         digest: Some(chunk.digest.to_string()),
                         bytes: None,
                     };
-                    Next::Chunk(message, chunk.digest)
+                    let behind = seq.checked_add(1).and_then(&chunk_at).map(|(_, chunk)| chunk.digest);
+                    Next::Chunk(message, chunk.digest, behind)
                 }
                 (None, JobState::Queued | JobState::Running) => Next::Wait,
                 (None, JobState::Succeeded) => Next::End(None),
@@ -93,14 +101,20 @@ impl Service {
         .await
     }
 
-    /// The bytes of one chunk; lost ones are computed again.
+    /// The bytes of one chunk, which may have been read ahead; lost ones are computed again.
     async fn chunk_bytes(
         &self,
         id: &str,
         frame: u32,
         tile: u32,
         first: BlobDigest,
+        ahead: Option<Ahead>,
     ) -> Result<Vec<u8>, Error> {
+        if let Some(ahead) = ahead
+            && let Some(bytes) = ahead.take(&first).await
+        {
+            return Ok(bytes);
+        }
         let until = tokio::time::Instant::now() + REMAKE;
         let mut changes = self.machine.changes();
         let mut digest = first;
@@ -165,8 +179,11 @@ impl Service {
         let (places, frames, cones) = self.look_at_result(&id).await?;
         Ok(async_stream::try_stream! {
             yield Bytes::from(npy::header(scalar, &[frames as usize, cones as usize]));
+            let mut behind = places.clone().into_iter().skip(1);
+            let mut ahead = None;
             for (frame, tile, digest) in places {
-                let bytes = self.chunk_bytes(&id, frame, tile, digest).await?;
+                let bytes = self.chunk_bytes(&id, frame, tile, digest, ahead).await?;
+                ahead = behind.next().and_then(|(.., digest)| self.ahead.read(&self.blobs, digest));
                 yield Bytes::from_owner(tokio::task::spawn_blocking(move || read_counts_le(&bytes)).await??);
             }
         })
@@ -190,7 +207,7 @@ impl Service {
         Ok(async_stream::try_stream! {
             let mut table = PhotonsTable::new()?;
             for (frame, tile, digest) in places {
-                let bytes = self.chunk_bytes(&id, frame, tile, digest).await?;
+                let bytes = self.chunk_bytes(&id, frame, tile, digest, None).await?;
                 let photons = tokio::task::spawn_blocking(move || read_photons(&bytes)).await??;
                 yield Bytes::from(table.push(frame, &photons.unwrap_or_default())?);
             }
@@ -225,7 +242,7 @@ impl Service {
     }
 
     async fn read_chunk(&self, id: &str, frame: u32, tile: u32, digest: BlobDigest) -> Result<Chunk, Error> {
-        let bytes = self.chunk_bytes(id, frame, tile, digest).await?;
+        let bytes = self.chunk_bytes(id, frame, tile, digest, None).await?;
         self.unpack(bytes.into()).await
     }
 

@@ -7,8 +7,10 @@ use futures::Stream;
 use photoneye_proto::{FieldError, v1};
 use photoneye_store::{BlobDigest, Blobs};
 use tokio::sync::Semaphore;
+use tokio::time::Instant;
 
 use crate::access::{Access, Caller, Role};
+use crate::ahead::Places;
 use crate::error::{Error, Kind};
 use crate::fleet::Fleet;
 use crate::jobs::{Command, Job, Machine, Record, Reply, State};
@@ -73,6 +75,8 @@ pub const UNPACKED: usize = 2;
 
 /// Events of one watcher, at most so often.
 const EVENT_PAUSE: Duration = Duration::from_millis(100);
+/// Meanwhile it is looked whether the job has ended, at most so often.
+const LOOK_PAUSE: Duration = Duration::from_millis(10);
 
 /// The service behind both doors.
 pub struct Service {
@@ -92,8 +96,12 @@ pub struct Service {
     pub metrics: Metrics,
     /// Turns at unpacking a chunk: meanwhile it takes several times its size.
     pub unpacking: Semaphore,
+    /// Places of chunks that are read ahead.
+    pub ahead: Places,
     /// The last plans.
     pub plans: Plans,
+    /// Only jobs that were made in this process are worked on; the others wait for another one.
+    pub local_only: bool,
     /// How fast the machine is, for predictions.
     pub speed: photoneye_eye::plan::Machine,
 }
@@ -225,7 +233,7 @@ impl Service {
         Ok(())
     }
 
-    /// The job at each change after a version, until it ends; at most ten events a second, the last state always.
+    /// The job at each change after a version, until it ends; at most ten events a second, the last state always and at once.
     ///
     /// # Errors
     /// When there is no such job.
@@ -237,20 +245,33 @@ impl Service {
         self.look(&id, |_, _| ()).await?;
         Ok(async_stream::stream! {
             let mut changes = self.machine.changes();
-            let mut last = after;
+            let (mut last, mut next) = (after, Instant::now());
             loop {
                 changes.mark_unchanged();
-                let look = |state: &State, job: &Job| (job.version, job.state.active(), view::job(state, job));
-                let Ok((version, active, job)) = self.look(&id, look).await else { return };
-                // Whoever has seen the last change of an ended job gets it once more and the end.
-                if version > last || !active {
-                    last = version;
-                    yield v1::JobEvent { seq: Some(version), job: Some(job) };
+                let look = |state: &State, job: &Job| {
+                    let active = job.state.active();
+                    // Whoever has seen the last change of an ended job gets it once more and the end.
+                    let told = !active || (job.version > last && Instant::now() >= next);
+                    (job.version, active, told.then(|| view::job(state, job)))
+                };
+                let Ok((version, active, told)) = self.look(&id, look).await else { return };
+                if told.is_some() {
+                    (last, next) = (version, Instant::now() + EVENT_PAUSE);
+                    yield v1::JobEvent { seq: Some(version), job: told };
                 }
-                if !active || changes.changed().await.is_err() {
+                if !active {
                     return;
                 }
-                tokio::time::sleep(EVENT_PAUSE).await;
+                // What may not be told yet is told when it may.
+                let changed = if version > last {
+                    tokio::time::timeout_at(next, changes.changed()).await.unwrap_or(Ok(()))
+                } else {
+                    changes.changed().await
+                };
+                if changed.is_err() {
+                    return;
+                }
+                tokio::time::sleep(LOOK_PAUSE).await;
             }
         })
     }

@@ -99,6 +99,24 @@ fn a_killed_run_is_gone_on_with_by_the_same_run_only() {
     assert!(!place.path().join("killed").exists());
 }
 
+/// A `run` in the data folder of a server that was stopped does its own job; those that wait there go on with the next server.
+#[test]
+fn a_run_leaves_what_waits_for_a_server() {
+    let place = tempdir().unwrap();
+    let server = Server::start(place.path(), 0);
+    let id = server.submit(&small_experiment(3));
+    server.kill();
+    fs::write(place.path().join("mine.json"), small_experiment(2).to_string()).unwrap();
+    let run = ["run", "mine.json", "--data", "data", "--out", "mine", "--workers", "1", "--pictures", "1"];
+    succeed(photoneye(place.path()).args(run));
+
+    let server = Server::start(place.path(), 0);
+    let job = server.get_json(&format!("/v1/jobs/{id}"));
+    assert_eq!(job["progress"]["shards_done"], 0, "{job}");
+    server.kill();
+    Server::start(place.path(), 1).success(&id);
+}
+
 /// Result chunks in a data folder.
 fn frames_in(data: &Path) -> usize {
     if !data.join("blobs").exists() {

@@ -6,18 +6,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::memory;
-
-/// CPU seconds of all threads that run, to the microsecond where the kernel tells (`schedstat`); those of a thread that ended are lost.
-fn now() -> f64 {
-    let threads = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
-    let nanoseconds = |thread: std::fs::DirEntry| {
-        let text = std::fs::read_to_string(thread.path().join("schedstat")).unwrap_or_default();
-        text.split(' ').next().and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(0.0)
-    };
-    let sum = threads.map(nanoseconds).sum::<f64>() * 1e-9;
-    if sum > 0.0 { sum } else { memory::cpu_seconds() }
-}
+use crate::memory::cpu_seconds;
 
 /// The stages that run.
 #[derive(Debug, Default)]
@@ -49,7 +38,7 @@ impl Ledger {
     /// Begins a stage.
     pub(crate) fn begin(self: &Arc<Self>) -> Stage {
         let mut book = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        book.turn(now());
+        book.turn(cpu_seconds());
         let number = book.next;
         book.next += 1;
         book.running.insert(number, 0.0);
@@ -65,7 +54,7 @@ impl Stage {
 
     fn take(&self) -> f64 {
         let mut book = self.ledger.0.lock().unwrap_or_else(PoisonError::into_inner);
-        book.turn(now());
+        book.turn(cpu_seconds());
         book.running.remove(&self.number).unwrap_or(0.0)
     }
 }

@@ -1,6 +1,6 @@
-//! Computes one shard: some frames of one tile, a chunk a frame. While a chunk is on its way, the next frame is counted.
+//! Computes one shard: some frames of one tile, a chunk a frame. While chunks are on their way, the next frames are counted.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -18,6 +18,9 @@ use crate::lease::{Done, Lease};
 use crate::pictures::Pictures;
 use crate::scene::{Scene, model_error};
 use crate::{Shared, WorkError, blocking, memory};
+
+/// Chunks on their way to the server at the same time, at most.
+const ON_THE_WAY: usize = 4;
 
 /// One computed and encoded frame.
 struct Chunk {
@@ -43,7 +46,6 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
         ..WorkReport::default()
     };
     let mut pictures = Pictures::default();
-    let mut chunks = Vec::with_capacity(shard.frame_count() as usize);
     let mut sending = Sending::default();
     for done in 0..shard.frame_count() {
         // Between frames: is the answer still wanted?
@@ -68,11 +70,10 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
         }
 
         // Hand the chunk over.
-        chunks.extend(sending.end().await?);
         tell(&mut report, &chunk.frame, &chunk.summary);
-        sending.begin(shared, index, chunk);
+        sending.send(shared, index, chunk).await?;
     }
-    chunks.extend(sending.end().await?);
+    let chunks = sending.all().await?;
     report.peak_memory_bytes = memory::peak_bytes();
     Ok(Done { done: v1::commit_request::Done::Shard(v1::ShardResult { chunks }), report })
 }
@@ -95,14 +96,21 @@ fn audit(
     scene.exposure.audit(index, pictures.first().copied(), earlier, frame).map_err(model_error)
 }
 
-/// The one chunk that is on its way to the server.
+/// Chunks on their way to the server, in the order of frames, and those that are there.
 #[derive(Default)]
-struct Sending(Option<JoinHandle<Result<v1::CommittedChunk, WorkError>>>);
+struct Sending {
+    on_the_way: VecDeque<JoinHandle<Result<v1::CommittedChunk, WorkError>>>,
+    there: Vec<v1::CommittedChunk>,
+}
 
 impl Sending {
-    fn begin(&mut self, shared: &Arc<Shared>, index: u32, chunk: Chunk) {
+    /// Begins to send a chunk; waits for the first of those before when there are many.
+    async fn send(&mut self, shared: &Arc<Shared>, index: u32, chunk: Chunk) -> Result<(), WorkError> {
+        if self.on_the_way.len() >= ON_THE_WAY {
+            self.first().await?;
+        }
         let shared = Arc::clone(shared);
-        self.0 = Some(tokio::spawn(async move {
+        self.on_the_way.push_back(tokio::spawn(async move {
             let digest = shared.remote.put(Bytes::from(chunk.bytes)).await?;
             Ok(v1::CommittedChunk {
                 frame: Some(index),
@@ -112,14 +120,23 @@ impl Sending {
                 cones: chunk.summary.cones.to_vec(),
             })
         }));
+        Ok(())
     }
 
-    /// Waits until it is there.
-    async fn end(&mut self) -> Result<Option<v1::CommittedChunk>, WorkError> {
-        match self.0.take() {
-            Some(sent) => sent.await.map_err(|_| WorkError::Dropped)?.map(Some),
-            None => Ok(None),
+    /// Waits for the first one that is on its way.
+    async fn first(&mut self) -> Result<(), WorkError> {
+        if let Some(sent) = self.on_the_way.pop_front() {
+            self.there.push(sent.await.map_err(|_| WorkError::Dropped)??);
         }
+        Ok(())
+    }
+
+    /// Waits until all are there.
+    async fn all(mut self) -> Result<Vec<v1::CommittedChunk>, WorkError> {
+        while !self.on_the_way.is_empty() {
+            self.first().await?;
+        }
+        Ok(self.there)
     }
 }
 

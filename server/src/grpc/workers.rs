@@ -8,7 +8,7 @@ use photoneye_proto::v1;
 use photoneye_proto::v1::commit_request::Done;
 use photoneye_proto::v1::lease_reply::{Nothing, Work};
 use photoneye_proto::v1::workers_server::Workers;
-use photoneye_store::BlobDigest;
+use photoneye_store::{BlobDigest, Blobs};
 use tonic::{Request, Response, Status};
 
 use super::{Local, needed};
@@ -16,7 +16,7 @@ use crate::error::{Error, Kind};
 use crate::fleet::Word;
 use crate::jobs::lease::TTL_MS;
 use crate::jobs::state::{Summary, WorkId};
-use crate::jobs::{Command, Commit, Reply, State};
+use crate::jobs::{Ask, Command, Commit, Reply, State};
 use crate::service::{Service, unexpected};
 
 /// Longest wait for work, ms.
@@ -34,16 +34,16 @@ impl Workers for Door {
         self.0.metrics.worker_misses.fetch_add(request.cache_misses(), Ordering::Relaxed);
         let wait = Duration::from_millis(u64::from(request.wait_ms().min(MAX_WAIT_MS)));
         let until = tokio::time::Instant::now() + wait;
-        let holds = request.holds.iter().cloned().collect();
-        let most = self.0.limits.tenant_leases;
+        let ask = Ask {
+            worker: request.worker().to_owned(),
+            local,
+            holds: request.holds.iter().cloned().collect(),
+            most: self.0.limits.tenant_leases,
+            local_only: self.0.local_only,
+        };
         loop {
             let wait = until.saturating_duration_since(tokio::time::Instant::now());
-            let leased = self
-                .0
-                .machine
-                .lease(most, request.worker(), local, &holds, wait)
-                .await
-                .map_err(Error::from)?;
+            let leased = self.0.machine.lease(&ask, wait).await.map_err(Error::from)?;
             let Some((id, fence)) = leased else {
                 return Ok(Response::new(v1::LeaseReply {
                     work: Some(Work::Nothing(Nothing {})),
@@ -92,18 +92,21 @@ impl Workers for Door {
     async fn commit(&self, request: Request<v1::CommitRequest>) -> Result<Response<v1::CommitReply>, Status> {
         let request = request.into_inner();
         let commit = match needed("done", request.done)? {
-            Done::Artifact(artifact) => Commit::Artifact {
-                digest: self.stored("artifact.digest", artifact.digest()).await?,
-                cones: artifact.cones,
-            },
+            Done::Artifact(artifact) => {
+                let digest = digest("artifact.digest", artifact.digest())?;
+                self.stored("artifact.digest", vec![digest]).await?;
+                Commit::Artifact { digest, cones: artifact.cones }
+            }
             Done::Shard(shard) => {
-                let mut chunks = Vec::new();
-                for chunk in shard.chunks {
-                    let digest = self.stored("shard.chunks.digest", chunk.digest()).await?;
+                let chunks = shard.chunks.into_iter().map(|chunk| {
+                    let digest = digest("shard.chunks.digest", chunk.digest())?;
                     let frame = needed("shard.chunks.frame", chunk.frame)?;
                     let (sum, sum_squares, cones) = (chunk.sum, chunk.sum_squares, chunk.cones);
-                    chunks.push((frame, digest, Summary { sum, sum_squares, cones }));
-                }
+                    Ok((frame, digest, Summary { sum, sum_squares, cones }))
+                });
+                let chunks = chunks.collect::<Result<Vec<_>, Status>>()?;
+                let digests = chunks.iter().map(|(_, digest, _)| *digest).collect();
+                self.stored("shard.chunks.digest", digests).await?;
                 Commit::Shard(chunks)
             }
         };
@@ -151,16 +154,28 @@ impl Door {
         }
     }
 
-    /// A digest whose bytes are in the store: a commit without them would promise what is not there.
-    async fn stored(&self, field: &str, text: &str) -> Result<BlobDigest, Status> {
-        let digest: BlobDigest = text.parse().map_err(|error: photoneye_store::digest::NotADigest| {
-            Status::invalid_argument(format!("{field}: {error}"))
-        })?;
-        if self.0.with_blobs(move |blobs| blobs.has(&digest)).await? {
-            Ok(digest)
-        } else {
-            Err(Error::new(Kind::NotReady, format!("{field}: no blob {digest}; upload it first")).into())
+    /// Refuses digests whose bytes are not in the store: a commit without them would promise what is not there.
+    async fn stored(&self, field: &str, digests: Vec<BlobDigest>) -> Result<(), Status> {
+        match self.missing(digests).await?.first() {
+            None => Ok(()),
+            Some(digest) => {
+                Err(Error::new(Kind::NotReady, format!("{field}: no blob {digest}; upload it first")).into())
+            }
         }
+    }
+
+    /// Those that are not in the store.
+    async fn missing(&self, digests: Vec<BlobDigest>) -> Result<Vec<BlobDigest>, Error> {
+        let look = move |blobs: &dyn Blobs| {
+            let mut missing = Vec::new();
+            for digest in digests {
+                if !blobs.has(&digest)? {
+                    missing.push(digest);
+                }
+            }
+            Ok(missing)
+        };
+        self.0.with_blobs(look).await
     }
 
     /// What a leased piece of work is; `None` when bytes that it needs are gone, which is noted.
@@ -178,17 +193,19 @@ impl Door {
                 self.0.machine.read(tile).unwrap_or_default()
             }
         };
+        let find = |state: &State| -> Vec<_> {
+            let artifacts = keys.iter().map(|key| state.artifacts.get(key));
+            artifacts
+                .map(|found| {
+                    found.map(|artifact| (artifact.kind.clone(), artifact.digest)).unwrap_or_default()
+                })
+                .collect()
+        };
+        let found = self.0.machine.read(find);
+        let missing = self.missing(found.iter().filter_map(|(_, digest)| *digest).collect()).await?;
         let mut references = Vec::new();
-        for key in keys {
-            let find = |state: &State| {
-                state.artifacts.get(&key).map(|artifact| (artifact.kind.clone(), artifact.digest))
-            };
-            let (kind, digest) = self.0.machine.read(find).unwrap_or_default();
-            let there = match digest {
-                Some(digest) => self.0.with_blobs(move |blobs| blobs.has(&digest)).await?,
-                None => false,
-            };
-            let Some(digest) = digest.filter(|_| there) else {
+        for (key, (kind, digest)) in keys.into_iter().zip(found) {
+            let Some(digest) = digest.filter(|digest| !missing.contains(digest)) else {
                 tracing::warn!(key, kind, "an artifact is gone and will be built again");
                 self.0.machine.execute(Command::LostArtifact(key)).await.map_err(Error::from)?;
                 return Ok(None);
@@ -233,6 +250,12 @@ impl Door {
             .await?;
         Ok(Work::Shard(work.ok_or_else(|| Status::internal("a leased shard is gone"))?))
     }
+}
+
+fn digest(field: &str, text: &str) -> Result<BlobDigest, Status> {
+    text.parse().map_err(|error: photoneye_store::digest::NotADigest| {
+        Status::invalid_argument(format!("{field}: {error}"))
+    })
 }
 
 fn work_id(text: &str) -> Result<WorkId, Status> {

@@ -13,16 +13,7 @@ pub enum Command {
     /// A job is accepted.
     Create(Box<NewJob>),
     /// A worker asks for work.
-    Lease {
-        /// Shards that one tenant may have at work at the same time.
-        most: usize,
-        /// Its name.
-        worker: String,
-        /// Whether it lives in this process.
-        local: bool,
-        /// Keys of the artifacts that it holds.
-        holds: BTreeSet<String>,
-    },
+    Lease(Ask),
     /// A worker is alive.
     Beat {
         /// Its work.
@@ -75,6 +66,21 @@ pub enum Command {
     Note(Record),
     /// What is over for long may go.
     Sweep(Sweep),
+}
+
+/// What a worker asks for.
+#[derive(Clone, Debug, Default)]
+pub struct Ask {
+    /// Its name.
+    pub worker: String,
+    /// Whether it lives in this process.
+    pub local: bool,
+    /// Keys of the artifacts that it holds.
+    pub holds: BTreeSet<String>,
+    /// Shards that one tenant may have at work at the same time.
+    pub most: usize,
+    /// Whether only local jobs are worked on; the others wait for another process.
+    pub local_only: bool,
 }
 
 /// How much of what is over is kept.

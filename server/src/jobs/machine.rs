@@ -4,7 +4,7 @@
 //! Readers never wait for the disk: they look at a copy, on which the steps of a batch are repeated once the batch is durable.
 //! A step is a function of state, command and time, so the copy says the same.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::clock::Clock;
-use super::command::{Command, Reply};
+use super::command::{Ask, Command, Reply};
 use super::recall::Recalled;
 use super::state::{State, WorkId};
 use super::step::step;
@@ -132,24 +132,16 @@ impl Machine {
         self.shared.changed.subscribe()
     }
 
-    /// Work for a worker, waiting for it when there is none; at most so many shards of one tenant are at work.
+    /// Work for a worker, waiting for it when there is none.
     ///
     /// # Errors
     /// When the store cannot keep the lease.
-    pub async fn lease(
-        &self,
-        most: usize,
-        worker: &str,
-        local: bool,
-        holds: &BTreeSet<String>,
-        wait: Duration,
-    ) -> Result<Option<(WorkId, u64)>, StoreError> {
+    pub async fn lease(&self, ask: &Ask, wait: Duration) -> Result<Option<(WorkId, u64)>, StoreError> {
         let until = tokio::time::Instant::now() + wait;
         let mut changes = self.changes();
         loop {
             changes.mark_unchanged();
-            let command = Command::Lease { most, worker: worker.to_owned(), local, holds: holds.clone() };
-            if let Reply::Leased(Some(work)) = self.execute(command).await? {
+            if let Reply::Leased(Some(work)) = self.execute(Command::Lease(ask.clone())).await? {
                 return Ok(Some(work));
             }
             let rung = tokio::time::timeout_at(until, changes.changed()).await;
@@ -185,7 +177,7 @@ impl Kind {
             Command::Beat { .. } | Command::Note(_) | Command::Sweep(_) => Self::Silent,
             Command::Reap => Self::Reap,
             Command::Create(_)
-            | Command::Lease { .. }
+            | Command::Lease(_)
             | Command::Commit { .. }
             | Command::Fail { .. }
             | Command::Release { .. }

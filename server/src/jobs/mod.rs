@@ -22,7 +22,7 @@ pub mod step;
 pub mod store;
 mod sweep;
 
-pub use command::{Command, Commit, NewArtifact, NewJob, Record, Reply, Sweep, Text};
+pub use command::{Ask, Command, Commit, NewArtifact, NewJob, Record, Reply, Sweep, Text};
 pub use lease::{Lease, Phase};
 pub use machine::Machine;
 pub use recall::Recalled;

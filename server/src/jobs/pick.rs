@@ -3,17 +3,18 @@
 
 use std::collections::BTreeSet;
 
+use super::command::Ask;
 use super::lease::Phase;
 use super::state::{Job, State, WorkId};
 
-/// The next piece of work for a worker that holds these artifacts; no shard of a tenant that has `most` of them at work.
-pub fn pick(state: &State, most: usize, holds: &BTreeSet<String>) -> Option<WorkId> {
+/// The next piece of work for a worker; no shard of a tenant that has as many of them at work as it may.
+pub fn pick(state: &State, ask: &Ask) -> Option<WorkId> {
     let mut tenants: Vec<_> =
         state.queues.iter().map(|(name, queue)| (state.passes.get(name), name, queue)).collect();
     tenants.sort_unstable_by_key(|(pass, name, _)| (*pass, *name));
-    let mut jobs =
-        tenants.into_iter().flat_map(|(.., queue)| queue).filter_map(|place| state.jobs.get(&place.3));
-    let room = |job: &Job| state.holding.get(&job.tenant).is_none_or(|held| *held < most);
+    let jobs = tenants.into_iter().flat_map(|(.., queue)| queue).filter_map(|place| state.jobs.get(&place.3));
+    let mut jobs = jobs.filter(|job| job.local || !ask.local_only);
+    let room = |job: &Job| state.holding.get(&job.tenant).is_none_or(|held| *held < ask.most);
     // Of thousands of jobs that wait for the same builds, one says that there is nothing to build.
     let mut stuck = BTreeSet::new();
     let mut of_job = |job: &Job| {
@@ -22,7 +23,7 @@ pub fn pick(state: &State, most: usize, holds: &BTreeSet<String>) -> Option<Work
         if first.is_none() && !waiting && build(state, &unready(state, job)).is_none() {
             stuck.insert(job.artifacts.clone());
         }
-        first.or_else(|| if room(job) { shard(state, job, holds) } else { None })
+        first.or_else(|| if room(job) { shard(state, job, &ask.holds) } else { None })
     };
     jobs.find_map(&mut of_job).or_else(|| {
         let mut wanted = BTreeSet::new();

@@ -79,7 +79,7 @@ pub(super) async fn commands(
                 jobs.insert(job.clone());
             }
             Command::LostArtifact(key) => keys.push(key.clone()),
-            Command::Lease { .. }
+            Command::Lease(_)
             | Command::Beat { .. }
             | Command::Commit { .. }
             | Command::Fail { .. }

@@ -1,10 +1,8 @@
 //! The machine's logic: a command changes the state and says which rows a store has to keep. No I/O, no clock, no randomness.
 
-use std::collections::BTreeSet;
-
 use photoneye_store::BlobDigest;
 
-use super::command::{Command, Commit, Effects, Record, Reply, Row};
+use super::command::{Ask, Command, Commit, Effects, Record, Reply, Row};
 use super::lease::{Lease, Verdict};
 use super::pick::pick;
 use super::state::{Chunk, Job, JobState, State, Summary, WorkId};
@@ -14,9 +12,7 @@ pub fn step(state: &mut State, command: Command, now_ms: u64) -> (Reply, Effects
     let mut step = Step { state, now_ms, effects: Effects::default() };
     let reply = match command {
         Command::Create(job) => step.create(*job),
-        Command::Lease { most, worker, local, holds } => {
-            Reply::Leased(step.lease(most, &worker, local, &holds))
-        }
+        Command::Lease(ask) => Reply::Leased(step.lease(&ask)),
         Command::Beat { id, fence, stage } => Reply::Held(step.beat(&id, fence, stage)),
         Command::Commit { id, fence, commit, report_json } => step.commit(&id, fence, commit, report_json),
         Command::Fail { id, fence, message, deterministic } => {
@@ -76,16 +72,10 @@ impl Step<'_> {
         }
     }
 
-    fn lease(
-        &mut self,
-        most: usize,
-        worker: &str,
-        local: bool,
-        holds: &BTreeSet<String>,
-    ) -> Option<(WorkId, u64)> {
-        let id = pick(self.state, most, holds)?;
+    fn lease(&mut self, ask: &Ask) -> Option<(WorkId, u64)> {
+        let id = pick(self.state, ask)?;
         let now_ms = self.now_ms;
-        let fence = self.change(&id, |lease| lease.take(worker, local, now_ms)).flatten()?;
+        let fence = self.change(&id, |lease| lease.take(&ask.worker, ask.local, now_ms)).flatten()?;
         let (payers, cost) = match &id {
             WorkId::Shard(job, _) => (vec![job.clone()], self.state.jobs.get(job)?.shard_us),
             WorkId::Build(key) => (self.state.users_of(key), self.state.artifacts.get(key)?.predicted_us),

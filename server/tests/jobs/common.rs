@@ -1,9 +1,7 @@
 //! A small job, the commands of a worker, and the work of a whole state.
 
-use std::collections::BTreeSet;
-
 use photoneye_server::jobs::state::{Summary, WorkId};
-use photoneye_server::jobs::{Command, Commit, NewArtifact, NewJob, Reply, State, Text, step};
+use photoneye_server::jobs::{Ask, Command, Commit, NewArtifact, NewJob, Reply, State, Text, step};
 use photoneye_store::BlobDigest;
 
 /// A job: two tiles whose cones are both made from one mosaic tile, one kernel, two shards a tile.
@@ -47,8 +45,12 @@ pub fn create_local(id: &str) -> Command {
     Command::Create(Box::new(NewJob { local: true, ..job(id, None) }))
 }
 
+pub fn ask(worker: &str) -> Ask {
+    Ask { worker: worker.into(), most: usize::MAX, ..Ask::default() }
+}
+
 pub fn take(worker: &str) -> Command {
-    Command::Lease { most: usize::MAX, worker: worker.into(), local: false, holds: BTreeSet::new() }
+    Command::Lease(ask(worker))
 }
 
 /// The right commit for a piece of work; `salt` stands for what the computation gave.

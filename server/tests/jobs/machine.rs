@@ -1,12 +1,12 @@
 //! The steps of the machine: what becomes of jobs, leases, failures and lost bytes.
 
-use std::collections::BTreeSet;
-
 use photoneye_server::jobs::state::{ORPHAN, WorkId};
-use photoneye_server::jobs::{Command, Commit, JobState, NewJob, Phase, Record, Reply, State, lease, step};
+use photoneye_server::jobs::{
+    Ask, Command, Commit, JobState, NewJob, Phase, Record, Reply, State, lease, step,
+};
 use photoneye_store::BlobDigest;
 
-use crate::common::{commit, create, create_local, drain, job, take};
+use crate::common::{ask, commit, create, create_local, drain, job, take};
 
 #[test]
 fn a_job_runs_to_its_end_and_shares_its_artifacts() {
@@ -179,7 +179,7 @@ fn a_tenant_holds_no_more_leases_than_it_may() {
         step(&mut state, command, 0);
     }
     let take = |state: &mut State| {
-        let command = Command::Lease { most: 2, worker: "w".into(), local: false, holds: BTreeSet::new() };
+        let command = Command::Lease(Ask { most: 2, ..ask("w") });
         let Reply::Leased(leased) = step(state, command, 0).0 else { panic!() };
         leased
     };
@@ -192,6 +192,25 @@ fn a_tenant_holds_no_more_leases_than_it_may() {
     step(&mut state, command, 0);
     assert!(take(&mut state).is_some() && take(&mut state).is_none());
     assert_eq!(state.holding["loud"], 2);
+}
+
+/// Who runs one experiment in a folder does not do what waits there for a server.
+#[test]
+fn only_local_jobs_are_worked_on_where_that_is_asked_for() {
+    let mut state = State::default();
+    step(&mut state, create("waits"), 0);
+    let local_only = || Command::Lease(Ask { local_only: true, ..ask("w") });
+    assert_eq!(step(&mut state, local_only(), 0).0, Reply::Leased(None));
+    step(&mut state, create_local("mine"), 0);
+    while let Reply::Leased(Some((id, fence))) = step(&mut state, local_only(), 0).0 {
+        let command = commit(&state, id, fence, 0);
+        assert_eq!(step(&mut state, command, 0).0, Reply::Held(true));
+    }
+    assert_eq!(state.jobs["mine"].state, JobState::Succeeded);
+    assert!(state.jobs["waits"].state.active() && state.jobs["waits"].chunks.is_empty());
+    // What was built is there for it.
+    assert_eq!(drain(&mut state), 4);
+    assert_eq!(state.jobs["waits"].result_digest, state.jobs["mine"].result_digest);
 }
 
 /// A job that was run in a process that is gone is over; who asks for the same gets it again, with what was done.

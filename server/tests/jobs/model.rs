@@ -11,6 +11,8 @@ use photoneye_server::jobs::state::{Summary, WorkId};
 use photoneye_server::jobs::{Command, Commit, NewArtifact, NewJob, Phase, Reply, State, step};
 use photoneye_store::BlobDigest;
 
+use crate::common::take;
+
 /// Leases of one piece of work in a row; bounds the search.
 const MOST_LEASES: u64 = 3;
 const WORKERS: [&str; 2] = ["u", "v"];
@@ -128,13 +130,7 @@ impl World {
     fn act(&mut self, deed: &Deed, by_name: bool) -> Result<(), String> {
         match deed {
             Deed::Lease(worker) => {
-                let command = Command::Lease {
-                    most: usize::MAX,
-                    worker: WORKERS[*worker].into(),
-                    local: false,
-                    holds: BTreeSet::new(),
-                };
-                if let Reply::Leased(Some((id, fence))) = self.execute(command) {
+                if let Reply::Leased(Some((id, fence))) = self.execute(take(WORKERS[*worker])) {
                     assert!(!self.granted.contains_key(&id), "{id} was handed out twice");
                     self.granted.insert(id.clone(), (*worker, fence, self.now_ms + TTL_MS));
                     self.believed.insert((*worker, id, fence));
