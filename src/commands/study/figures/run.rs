@@ -11,8 +11,8 @@ use photoneye_eye::movement::Gaze;
 use photoneye_eye::picture::{ConeShapes, RgbImage, View};
 use photoneye_eye::plan::plan;
 use photoneye_eye::retina::Retina;
-use photoneye_eye::video::reader::{Cones, Seen, Signal, signals};
 use photoneye_eye::video::Picture;
+use photoneye_eye::video::reader::{Cones, Seen, Signal, signals};
 use serde_json::Value;
 
 use super::super::scene::experiment;
