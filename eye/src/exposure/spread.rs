@@ -63,31 +63,47 @@ impl Spread {
     }
 }
 
-/// The spreading kernel at equal steps, to be read linearly between them: within 1e-6 of it.
+/// The spreading kernel at the samples that it reaches, at equal steps of their places, to be read linearly between: within 1e-6 of it.
 pub struct SpreadTable {
     width: usize,
-    per_sample: f64,
-    /// From the middle outwards, and two zeros.
+    /// Samples, filled up with zeros to whole [`LANES`].
+    reached: usize,
+    /// `[step][sample]`.
     values: Vec<f64>,
 }
 
-/// Steps of the table from the middle to the edge.
-const STEPS: usize = 4096;
+/// Steps of the table in a sample.
+const STEPS: usize = 1024;
+/// Numbers that are added up side by side.
+const LANES: usize = 4;
 
 impl SpreadTable {
     /// Of a kernel.
     pub fn new(spread: &Spread) -> Self {
-        let per_sample = STEPS as f64 / (0.5 * spread.width as f64);
-        let value = |i: usize| spread.value(i as f64 / per_sample);
-        Self { width: spread.width, per_sample, values: (0..STEPS).map(value).chain([0.0; 2]).collect() }
+        let (width, reached) = (spread.width, spread.width.next_multiple_of(LANES));
+        let value = |step: usize, sample: usize| {
+            let at = sample as f64 + step as f64 / STEPS as f64 - 0.5 * width as f64;
+            if sample < width { spread.value(at) } else { 0.0 }
+        };
+        let line = |step: usize| (0..reached).map(move |sample| value(step, sample));
+        Self { width, reached, values: (0..=STEPS).flat_map(line).collect() }
     }
 
-    /// The kernel at a distance in samples.
-    fn value(&self, samples: f64) -> f64 {
-        let at = (samples.abs() * self.per_sample).min(STEPS as f64);
-        let below = at as usize;
-        let [a, b] = [self.values[below], self.values[below + 1]];
-        a + (b - a) * (at - below as f64)
+    /// The first sample within reach of a place, and the kernel there and at the next ones, times a factor.
+    fn read(&self, at: f64, factor: f64, values: &mut [f64]) -> f64 {
+        let edge = at - 0.5 * self.width as f64;
+        let first = edge.ceil();
+        let place = (first - edge) * STEPS as f64;
+        let below = (place as usize).min(STEPS - 1);
+        let (part, lines) = (place - below as f64, &self.values[below * self.reached..][..2 * self.reached]);
+        let (a, b) = lines.split_at(self.reached);
+        let (a, b) = (a.as_chunks::<LANES>().0, b.as_chunks::<LANES>().0);
+        for ((value, a), b) in values.as_chunks_mut::<LANES>().0.iter_mut().zip(a).zip(b) {
+            for lane in 0..LANES {
+                value[lane] = factor * (a[lane] + part * (b[lane] - a[lane]));
+            }
+        }
+        first
     }
 
     /// The weights of quadrature nodes given in samples, on a grid of `grid` columns and rows.
@@ -99,28 +115,30 @@ impl SpreadTable {
         let half = self.width as f64 / 2.0;
         let first = (min - half).ceil();
         let size = ((max + half).floor() - first + 1.0).max(DVec2::ZERO);
-        let (used, rows) = (size.x as usize, size.y as usize);
-        let columns = used.next_multiple_of(COLUMNS);
-        let mut values = vec![0.0_f64; columns * rows];
-        let mut across = vec![0.0; columns];
+        let (columns, rows) = ((size.x as usize).next_multiple_of(COLUMNS), size.y as usize);
+        // Whole lanes go on behind the last sample with zeros.
+        let line = columns + self.reached;
+        let mut sums = vec![0.0; line * rows];
+        let (mut across, mut down) = (vec![0.0; self.reached], vec![0.0; self.reached]);
         for (at, area) in nodes {
-            let start = ((at.x - half).ceil() - first.x) as usize;
-            let end = (start + self.width + 1).min(used);
-            for (i, value) in across.iter_mut().enumerate().take(end).skip(start) {
-                *value = area * self.value(first.x + i as f64 - at.x);
-            }
-            let top = ((at.y - half).ceil() - first.y) as usize;
-            for row in top..(top + self.width + 1).min(rows) {
-                let down = self.value(first.y + row as f64 - at.y);
-                let line = &mut values[row * columns + start..row * columns + end];
-                line.iter_mut().zip(&across[start..end]).for_each(|(v, a)| *v += down * a);
+            let left = (self.read(at.x, *area, &mut across) - first.x) as usize;
+            let top = (self.read(at.y, 1.0, &mut down) - first.y) as usize;
+            for (row, factor) in down[..self.width].iter().enumerate() {
+                let sums = &mut sums[(top + row) * line + left..][..self.reached];
+                let sums = sums.as_chunks_mut::<LANES>().0.iter_mut();
+                for (sum, value) in sums.zip(across.as_chunks::<LANES>().0) {
+                    for lane in 0..LANES {
+                        sum[lane] += factor * value[lane];
+                    }
+                }
             }
         }
         let wrap = |value: f64, samples: usize| (value as i64).rem_euclid(samples as i64) as u32;
+        let values = sums.chunks_exact(line.max(1)).take(rows);
         ConeWeights {
             first: [wrap(first.x, grid[0]), wrap(first.y, grid[1])],
             size: [columns as u32, rows as u32],
-            values: values.into_iter().map(|v| v as f32).collect(),
+            values: values.flat_map(|line| line[..columns].iter().map(|v| *v as f32)).collect(),
         }
     }
 }

@@ -118,10 +118,17 @@ impl ProjectionFit {
         DVec2::new(v[0], v[1])
     }
 
+    /// [`ProjectionFit::screen_tangent`] and [`ProjectionFit::jacobian_tangent_per_um`].
+    pub fn linear(&self, um: DVec2) -> (DVec2, DMat2) {
+        let [v, x, y] = self.evaluate(um);
+        let jacobian =
+            DMat2::from_cols(DVec2::new(x[0], x[1]) / self.half.x, DVec2::new(y[0], y[1]) / self.half.y);
+        (DVec2::new(v[0], v[1]), jacobian)
+    }
+
     /// d t/d(x_um, y_um); columns are the derivatives by x_um and y_um.
     pub fn jacobian_tangent_per_um(&self, um: DVec2) -> DMat2 {
-        let [_, x, y] = self.evaluate(um);
-        DMat2::from_cols(DVec2::new(x[0], x[1]) / self.half.x, DVec2::new(y[0], y[1]) / self.half.y)
+        self.linear(um).1
     }
 
     /// Unit vector towards the exit pupil, as [`Projection::exit_pupil_direction`].
