@@ -91,7 +91,10 @@ fn wavelengths_without_light() {
 
 #[test]
 fn points_of_the_field_between_which_little_changes() {
-    holds_to(&scene(), Rule::FieldNodes, "points of the field", TABLE);
+    let mut e = scene();
+    // Other points have another low-rank basis, whose error is not what is asked here.
+    e.counts.knobs.basis_tolerance = Some(1e-6);
+    holds_to(&e, Rule::FieldNodes, "points of the field", TABLE);
 }
 
 #[test]

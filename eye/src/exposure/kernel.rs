@@ -37,6 +37,8 @@ const UM_PER_TANGENT: f64 = 16_440.0;
 const ARRIVING_TOLERANCE: f64 = 10.0;
 /// Interpolation error of the tables over that of the basis: the means feel it less.
 pub const TABLE_TOLERANCE: f64 = 4.0;
+/// How much errors of L, M and S count in their basis, as there are cones; few S cones a little more.
+const SHARES: [f64; ARRIVING] = [0.55, 0.3, 0.15];
 /// Weight of the mean light against all other frequencies in the basis.
 const MEAN_WEIGHT: f64 = 2.0;
 
@@ -226,7 +228,7 @@ impl KernelSpec {
         let (kernels, throughput) = self.kernels_by_place(&jobs, &factors, &paths, shape)?;
         let weights = self.basis_weights(shape);
         let (counted, arriving) = kernels.split_at(ARRIVING);
-        let shared = compress_together(counted, &weights, self.tolerance);
+        let shared = compress_together(counted, &SHARES, &weights, self.tolerance);
         // Arriving photons enter the budget only, where places average out: a coarser basis will do.
         let arriving = compress(&arriving[0], &weights, ARRIVING_TOLERANCE * self.tolerance);
         let samples = shape.len();

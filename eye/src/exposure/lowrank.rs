@@ -5,7 +5,7 @@
 //! `K_a ≈ Σ_r U_ar B_r`, `B_r = Σ_a U_ar K_a`, and the dropped eigenvalues are the squared error: the best basis of its size.
 //!
 //! Several sets (the types of cones) share one basis: each is compressed alone, finer than asked, and the few kernels that are left,
-//! each set at the same norm, are compressed together. What L, M and S cones see differs little more than in their weights of the
+//! the squares of each set at its share of the cones, are compressed together. What L, M and S cones see differs little more than in their weights of the
 //! primaries: 12 images instead of 18 on the scene of Figure 12 at 0.1 %, and those of one of them for light of one wavelength.
 
 use multiversion::multiversion;
@@ -96,18 +96,25 @@ pub struct SharedBasis {
     pub coefficients: Vec<Vec<Vec<f64>>>,
     /// `[r][sample]`.
     pub kernels: Vec<Vec<Complex64>>,
-    /// Root of the dropped share of the weighted squares, each set at the same norm.
+    /// Root of the dropped share of the weighted squares, each set's by its share.
     pub error: f64,
 }
 
-/// As [`compress`] for several sets together; `tolerance` is relative to each set's own norm.
-pub fn compress_together(sets: &[Vec<Vec<Complex64>>], weights: &[f64], tolerance: f64) -> SharedBasis {
+/// As [`compress`] for several sets together; `tolerance` is relative to each set's own norm, and the squares of the sets' errors count by their
+/// `shares`.
+pub fn compress_together(
+    sets: &[Vec<Vec<Complex64>>],
+    shares: &[f64],
+    weights: &[f64],
+    tolerance: f64,
+) -> SharedBasis {
     let alone: Vec<Basis> = sets.par_iter().map(|set| compress(set, weights, ALONE * tolerance)).collect();
     let square =
         |kernel: &Vec<Complex64>| kernel.iter().zip(weights).map(|(z, w)| w * z.norm_sqr()).sum::<f64>();
     let norms: Vec<f64> = alone.iter().map(|b| b.kernels.iter().map(square).sum::<f64>().sqrt()).collect();
     let least = (FAINT * norms.iter().copied().fold(0.0, f64::max)).max(f64::MIN_POSITIVE);
-    let norms: Vec<f64> = norms.into_iter().map(|norm| norm.max(least)).collect();
+    let norms: Vec<f64> =
+        norms.into_iter().zip(shares).map(|(norm, share)| norm.max(least) / share.sqrt()).collect();
     let scaled: Vec<Vec<Complex64>> = alone
         .iter()
         .zip(&norms)
@@ -208,7 +215,7 @@ mod tests {
         };
         let sets: Vec<Vec<Vec<Complex64>>> =
             (0..3).map(|set| (0..9).map(|a| kernel(set, a)).collect()).collect();
-        let basis = compress_together(&sets, &[1.0; 200], 1e-6);
+        let basis = compress_together(&sets, &[0.5, 0.3, 0.2], &[1.0; 200], 1e-6);
         assert_eq!(basis.kernels.len(), 4);
         for (set, own) in sets.iter().enumerate() {
             // The last set is fainter than what is seen.
