@@ -105,7 +105,7 @@ pub fn slant_factor(law: EmissionLaw, projection: &Projection, tangent: DVec2) -
         EmissionLaw::Lambertian => cos2 * cos2.sqrt(),
         EmissionLaw::Uniform => cos2,
     };
-    let slant = |t: DVec2| projection.object(t).angle_deg().to_radians().cos();
+    let slant = |t: DVec2| projection.object(t).cos_angle();
     emission * slant(tangent) / slant(DVec2::ZERO)
 }
 

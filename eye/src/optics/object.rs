@@ -77,6 +77,11 @@ impl Object {
         d.x.hypot(d.y).atan2(d.z).to_degrees()
     }
 
+    /// Cosine of that angle.
+    pub fn cos_angle(&self) -> f64 {
+        self.direction.z
+    }
+
     /// Path from the object to `p` less the path to the apex, mm, and the unit direction of the ray at `p`.
     pub fn eikonal(&self, p: DVec3) -> (f64, DVec3) {
         let v = self.vergence_per_mm;

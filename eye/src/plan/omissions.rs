@@ -78,7 +78,12 @@ fn cones_outside(look: &Look) -> Option<Omission> {
         region.min.x, region.max.x, region.min.y, region.max.y
     );
     let beyond = if look.experiment.retina.region_deg.is_none() {
-        error::tail_beyond(look.experiment, MARGIN_UM)
+        // Out of focus the blur of the picture's edge goes on: at most half of it outwards.
+        let blur_um =
+            look.setup.seen(look.experiment, &region).map_or(0.0, |seen| seen.blur * UM_PER_TANGENT);
+        let picture = region.max - region.min - 2.0 * MARGIN_UM;
+        let edge = (blur_um - MARGIN_UM).max(0.0) * (1.0 / picture.x + 1.0 / picture.y);
+        error::tail_beyond(look.experiment, MARGIN_UM) + edge.min(1.0)
     } else {
         0.0
     };

@@ -98,6 +98,9 @@ impl<'a> Layout<'a> {
                 continue;
             }
             let inside = DVec2::new(at.x - 10.0 * letter, 5.0 - at.y);
+            if inside.x >= 5.0 {
+                continue;
+            }
             inked += u32::from(sloan::ink(placed.letters[letter as usize], inside));
         }
         f64::from(inked) / f64::from(SAMPLES * SAMPLES)

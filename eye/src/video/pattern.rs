@@ -84,6 +84,9 @@ fn chart_pixel(chart: &SloanChart, charts: &[Layout], display: &Display, column:
         if ink <= 0.0 {
             return paper[i];
         }
+        if ink >= 1.0 {
+            return chart.ink_rgb[i];
+        }
         let light = |v: f64| display.transfer.light(v);
         display.transfer.value(light(paper[i]) * (1.0 - ink) + light(chart.ink_rgb[i]) * ink)
     })

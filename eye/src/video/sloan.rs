@@ -96,8 +96,8 @@ pub fn ink(letter: char, at: DVec2) -> bool {
         Ring(x, y, outer, inner, from, to) => {
             let v = at - DVec2::new(x, y);
             let r = v.length();
-            let angle = (v.y.atan2(v.x).to_degrees() - from).rem_euclid(360.0);
-            r < outer && r >= inner && angle <= to - from
+            let angle = || (v.y.atan2(v.x).to_degrees() - from).rem_euclid(360.0);
+            r < outer && r >= inner && angle() <= to - from
         }
         Poly(corners) => inside(corners, at),
     });
