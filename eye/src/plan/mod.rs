@@ -308,7 +308,7 @@ fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> u32 {
     let nodes = match half_side_deg(tile) {
         _ if !Rule::FieldNodes.applies(experiment) => 4,
         half if half < 0.1 => 1,
-        half if half < 1.2 => 2,
+        half if half < 0.9 => 2,
         _ => 3,
     };
     (nodes + Numerics::new(experiment).finer_field).max(1) as u32

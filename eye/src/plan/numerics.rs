@@ -84,7 +84,7 @@ pub const BLIND: f64 = 1e-3;
 /// pixel, nothing in squares, 15 nm 3e-5 and nothing.
 const COARSE_STEP_PUPIL_MM: f64 = 4.0;
 /// Loss above the band per accuracy target.
-const LOSS: f64 = 0.3;
+const LOSS: f64 = 0.25;
 
 impl Numerics {
     /// The settings of an experiment.
@@ -135,7 +135,7 @@ impl Numerics {
                 |w| w as usize,
             ),
             oversampling: knobs.oversampling.unwrap_or(if usual { 1.02 } else { 1.25 }),
-            finer_field: i32::from(!coarse) + i32::from(!usual) + i32::from(!fine) - i32::from(rough),
+            finer_field: if rough { -1 } else { 1 + i32::from(!usual) + i32::from(!fine) },
             ecc_nodes: knobs.ecc_nodes.unwrap_or(if usual { 3 } else { 4 }),
             blind_below: if Rule::BlindTypes.applies(experiment) { BLIND * target } else { 0.0 },
             single: !knobs.double_precision.unwrap_or(!usual),
