@@ -7,7 +7,6 @@ use photoneye_eye::experiment::Experiment;
 use photoneye_eye::movement::Gaze;
 use photoneye_eye::picture::{ConeShapes, RgbImage, View, encode_srgb, srgb_light};
 use photoneye_store::table::{ConeColumns, read_cones_file};
-use rayon::prelude::*;
 use serde_json::Value;
 
 use crate::cli::PictureArgs;
@@ -44,14 +43,13 @@ pub fn draw(folder: &Path, args: PictureArgs) -> Result<usize, Failure> {
     for first in (0..drawn).step_by(TOGETHER) {
         let some = first..drawn.min(first + TOGETHER);
         let values: Vec<_> = some.clone().map(|index| counts.frame(index)).collect::<Result<_, _>>()?;
-        let images: Vec<RgbImage> = values.par_iter().map(|values| view.image(&shapes, values)).collect();
-        if let Some(mean) = mean.as_mut().filter(|_| drawn > 1) {
-            images.iter().zip(some.clone()).for_each(|(image, index)| mean.add(index, image));
+        for ((image, png), index) in view.images(&shapes, &values).map_err(Failure::failed)?.iter().zip(some)
+        {
+            if let Some(mean) = mean.as_mut().filter(|_| drawn > 1) {
+                mean.add(index, image);
+            }
+            write(&frames.join(format!("{index:04}.png")), png)?;
         }
-        images.par_iter().zip(some).try_for_each(|(image, index)| {
-            let png = image.png().map_err(Failure::failed)?;
-            write(&frames.join(format!("{index:04}.png")), &png)
-        })?;
     }
     if let Some(png) = mean.filter(|_| drawn > 1).and_then(|mean| mean.png()) {
         write(&frames.join("mean.png"), &png)?;
@@ -124,14 +122,14 @@ impl Mean {
             -tangent.y.atan().to_degrees() * self.px_per_deg,
         ];
         let light = srgb_light().map(|light| light as f32);
-        self.sum.par_chunks_exact_mut(width).enumerate().for_each(|(row, sums)| {
+        for (row, sums) in self.sum.chunks_exact_mut(width).enumerate() {
             for (column, sum) in sums.iter_mut().enumerate() {
                 let at = [column as f64 - shift[0], row as f64 - shift[1]];
                 if let Some([red, green, blue]) = sample(image, &light, at) {
                     sum.iter_mut().zip([red, green, blue, 1.0]).for_each(|(sum, value)| *sum += value);
                 }
             }
-        });
+        }
     }
 
     fn png(&self) -> Option<Vec<u8>> {

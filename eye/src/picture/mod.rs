@@ -9,6 +9,8 @@ mod image;
 mod mosaic;
 mod raster;
 
+use rayon::prelude::*;
+
 use crate::experiment::RangeError;
 
 pub use image::{RgbImage, encode_srgb, srgb_light};
@@ -100,6 +102,23 @@ impl View {
             }
         }
         RgbImage { width: self.width as u32, height: self.height as u32, rgb }
+    }
+
+    /// Some frames, each with its PNG; `counts[frame]` by cone.
+    ///
+    /// # Errors
+    /// When the PNG encoder refuses.
+    pub fn images(
+        &self,
+        shapes: &ConeShapes,
+        counts: &[Vec<f64>],
+    ) -> Result<Vec<(RgbImage, Vec<u8>)>, png::EncodingError> {
+        let drawn = |counts: &Vec<f64>| {
+            let image = self.image(shapes, counts);
+            let png = image.png()?;
+            Ok((image, png))
+        };
+        counts.par_iter().map(drawn).collect()
     }
 
     /// A PNG of one frame; `counts` by cone.

@@ -76,8 +76,8 @@ pub struct Numerics {
 /// Share of the target that wavelengths left out may take.
 const WAVELENGTH_TAIL: f64 = 0.01;
 /// Error of the low-rank basis in its own norm, per accuracy target. At 1e-3 (squares of one pixel, one lit pixel): 0.1 leaves an L1 of
-/// 1.0e-4 and 2.3e-4 with 16 images, 0.6 5.3e-4 and 3.9e-4 with 12, 1.0 6.1e-4 and 1.4e-3 with 10.
-const BASIS_SHARE: f64 = 0.6;
+/// 1.0e-4 and 2.3e-4 with 16 images, 0.6 5.3e-4 and 3.9e-4 with 12, 1.0 6.1e-4 and 1.4e-3 with 10. With more points of the field 0.6 left up to 2e-3 of one lit pixel, 0.45 4e-4.
+const BASIS_SHARE: f64 = 0.45;
 /// Catch of a type of cone that is not computed, per accuracy target.
 pub const BLIND: f64 = 1e-3;
 /// Largest pupil up to which coarse targets take wavelengths every 20 nm and usual ones every 15 nm: at 3 mm 20 nm cost 2e-4 to 4e-4 in one lit
