@@ -91,7 +91,6 @@ struct Straight {
 }
 
 /// What a movement along one axis gives at each frequency.
-#[derive(Default)]
 struct Axis {
     /// Turns of half the path, radians.
     half: Vec<f64>,

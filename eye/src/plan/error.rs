@@ -20,8 +20,8 @@ const TAIL_UM: f64 = 0.62;
 const OPTICS: f64 = 2e-6;
 /// Error of wavelength steps of 10 nm; interpolation between six gains the sixth power of the step: 20 nm cost 3.6e-4 in one lit pixel, 15 nm 3e-5.
 const STEP_10_NM: f64 = 5e-6;
-/// Error of a field of one point a degree along each side, with one, two or more points: squares of one pixel on patches of 0.65, 1.3 and 1.8°
-/// half their side: two points 2e-3, 5.6e-3 and 8.7e-3, three 3e-5 and 4e-5, four of 1.8° 4e-5.
+/// Error of a field of one point a degree along each side, with one, two or more points: squares of one pixel on patches of 0.9, 1.5 and 2.0°
+/// half their side: two points 2e-3, 5.6e-3 and 8.7e-3, three of 0.9° 3e-5, four of 1.5 and 2.0° 4e-5.
 const FIELD: [f64; 3] = [6e-3, 1.5e-2, 2e-3];
 /// Part of the copies' light that is left in the means after the tail's law is subtracted.
 const COPIES: f64 = 0.05;

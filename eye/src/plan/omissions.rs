@@ -194,7 +194,7 @@ fn pointing(look: &Look) -> Option<Omission> {
 fn copies(look: &Look) -> Option<Omission> {
     let guard_um = look.setup.guard_um;
     let why = format!(
-        "the image is periodic, the nearest copy {guard_um:.0} µm from any cone; what a copy adds is taken away by the law of the spread's tail"
+        "the image is periodic, the nearest copy some {guard_um:.0} µm and twice the blur from any cone; what a copy adds is taken away by the law of the spread's tail"
     );
     let bound = error::copies_part(look.experiment, look.tiles);
     Some(omission("what the law of the tail does not tell of the picture's copies", &why, bound))

@@ -48,7 +48,7 @@ pub struct Setup {
     pub retina: RetinaParams,
     /// Digest of the table of measured cones, if they take the mosaic's place.
     pub mosaic: Option<String>,
-    /// Distance between a cone and the nearest copy of the picture beyond the farthest ray of the blur, µm.
+    /// Distance between a cone and the nearest copy of the picture, beyond what the blur asks, µm.
     pub guard_um: f64,
     /// The transfer over the patch, traced when it is asked for.
     pub(super) moduli: OnceLock<Result<Moduli, String>>,
