@@ -5,17 +5,13 @@
 //! coefficients at the kept half of the frequencies, m = 2 but for ν = 0, Ŵ the transform of W: no image is made and no cone visited
 //! in any frame.
 
-use multiversion::multiversion;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 
 use super::basis::BasisTable;
 use super::gather::Stencils;
-use super::grid::{Band, Planar, Real, Run};
+use super::grid::{Band, Planar, Real, Run, dot};
 use super::picture_spectrum::PictureSpectrum;
-
-/// Sums that are kept side by side, in a fixed order.
-const LANES: usize = 8;
 
 /// `[primary][frequency]`: conjugates of the weights by which what the display sends adds to a sum over cones.
 #[derive(Clone, Debug)]
@@ -66,21 +62,4 @@ impl ConeSum {
         };
         self.0.iter().zip(drive).map(part).sum()
     }
-}
-
-/// Sum of products.
-#[multiversion(targets("x86_64+avx2"))]
-pub fn dot<T: Real>(weights: &[f32], values: &[T]) -> f64 {
-    let mut sums = [0.0; LANES];
-    let ((weights, rest), (values, values_rest)) =
-        (weights.as_chunks::<LANES>(), values.as_chunks::<LANES>());
-    for (weights, values) in weights.iter().zip(values) {
-        for lane in 0..LANES {
-            sums[lane] += f64::from(weights[lane]) * values[lane].wide();
-        }
-    }
-    for ((sum, weight), value) in sums.iter_mut().zip(rest).zip(values_rest) {
-        *sum += f64::from(*weight) * value.wide();
-    }
-    sums.iter().sum()
 }

@@ -4,6 +4,7 @@ use std::ops::{Add, AddAssign, Mul, Range};
 use std::sync::OnceLock;
 
 use glam::{DVec4, Vec4};
+use multiversion::multiversion;
 use rustfft::FftNum;
 use rustfft::num_complex::Complex;
 
@@ -187,4 +188,24 @@ impl<T: Real> Planar<T> {
         let (re, im) = values.map(|z| (T::narrow(z.re), T::narrow(z.im))).unzip();
         Self { re, im }
     }
+}
+
+/// Sums that are kept side by side.
+const LANES: usize = 8;
+
+/// Sum of products, in a fixed order.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn dot<T: Real>(weights: &[f32], values: &[T]) -> f64 {
+    let mut sums = [0.0; LANES];
+    let ((weights, rest), (values, values_rest)) =
+        (weights.as_chunks::<LANES>(), values.as_chunks::<LANES>());
+    for (weights, values) in weights.iter().zip(values) {
+        for lane in 0..LANES {
+            sums[lane] += f64::from(weights[lane]) * values[lane].wide();
+        }
+    }
+    for ((sum, weight), value) in sums.iter_mut().zip(rest).zip(values_rest) {
+        *sum += f64::from(*weight) * value.wide();
+    }
+    sums.iter().sum()
 }

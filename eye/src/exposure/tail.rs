@@ -15,10 +15,10 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::arriving::dot;
 use super::bounds;
 use super::cones::ConeTable;
 use super::expected::Means;
+use super::grid::dot;
 use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::light::{Shown, courses, frame_light};
