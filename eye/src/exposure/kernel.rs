@@ -53,7 +53,7 @@ pub struct KernelSpec {
     pub distance_mm: f64,
     /// Rectangle of the retina, µm: minimum and maximum.
     pub field_um: [DVec2; 2],
-    /// Points of the field along each side, see [`super::padua`].
+    /// Points of the field along each side, see `exposure/padua.rs`.
     pub field_nodes: u32,
     /// Range of visual eccentricity, degrees.
     pub ecc_deg: [f64; 2],
