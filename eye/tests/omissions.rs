@@ -12,10 +12,11 @@ mod support;
 use std::collections::BTreeMap;
 
 use photoneye_eye::display::{Channel, Waveform};
-use photoneye_eye::experiment::{Experiment, Movement, Pattern};
+use photoneye_eye::experiment::{Clip, Experiment, Movement, Pattern, Video};
 use photoneye_eye::exposure::FrameCounts;
 use photoneye_eye::plan::{Rule, plan};
 use photoneye_eye::spectrum::Spectrum;
+use photoneye_eye::video::{ClipFormat, draw};
 use support::{cached_exposure, figure_12, primary};
 
 /// Single precision of images and means.
@@ -128,9 +129,51 @@ fn primaries_that_nothing_lights() {
         primary(Channel::Green, line(532.0)),
         primary(Channel::Blue, line(465.0)),
     ];
-    e.video = photoneye_eye::experiment::Video::Pattern(Pattern::Uniform { rgb: [0.0, 1.0, 0.0] });
+    e.video = Video::Pattern(Pattern::Uniform { rgb: [0.0, 1.0, 0.0] });
     assert_eq!(plan(&e).unwrap().wavelengths_nm, vec![532.0]);
     holds(&e, Rule::UnlitPrimaries, "optics of primaries that nothing lights");
+}
+
+#[test]
+fn primaries_that_show_the_same() {
+    let mut e = scene();
+    e.display.primaries = figure_12(support::WHITE).display.primaries;
+    holds(&e, Rule::JoinedPrimaries, "what gray pictures do not show of single primaries");
+    // Of two that shine together and one that is elsewhere.
+    e.display.primaries[1].offset_px = [0.3, 0.0];
+    holds(&e, Rule::JoinedPrimaries, "what gray pictures do not show of single primaries");
+    // In colour, or each at its own place, nothing is left out.
+    let left_out = |e: &Experiment| {
+        plan(e)
+            .unwrap()
+            .omissions
+            .iter()
+            .any(|o| o.what == "what gray pictures do not show of single primaries")
+    };
+    e.display.primaries[2].offset_px = [0.0, 0.3];
+    assert!(!left_out(&e));
+    e.display.primaries = figure_12(support::WHITE).display.primaries;
+    e.video = Video::Pattern(Pattern::Uniform { rgb: [1.0, 0.5, 0.5] });
+    assert!(!left_out(&e));
+}
+
+/// An uploaded clip is gray or not picture by picture: each is counted as in a video of its own.
+#[test]
+fn pictures_of_a_clip_are_joined_one_by_one() {
+    let mut e = scene();
+    e.display.primaries = figure_12(support::WHITE).display.primaries;
+    let gray = draw(&Pattern::Checkerboard { square_px: 2 }, &e.display, &e.gaze);
+    let coloured = draw(&Pattern::Uniform { rgb: [1.0, 0.5, 0.5] }, &e.display, &e.gaze);
+    let pattern = cached_exposure(&e);
+    e.video = Video::Clip(Clip { blobs: vec![String::new()], format: ClipFormat::default() });
+    let clip = cached_exposure(&e);
+    let of = |exposure: &photoneye_eye::exposure::Exposure, picture| exposure.frame(0, picture).unwrap();
+    let (first, second) = (of(&clip, Some(&coloured)), of(&clip, Some(&gray)));
+    clip.make_ready(1, Some(&gray), &[]).unwrap();
+    assert_eq!(second.counts, of(&pattern, None).counts);
+    e.computed_anyway = vec![Rule::JoinedPrimaries];
+    assert_eq!(first.counts, of(&cached_exposure(&e), Some(&coloured)).counts);
+    assert_ne!(second.counts, of(&cached_exposure(&e), Some(&gray)).counts);
 }
 
 #[test]
@@ -138,7 +181,7 @@ fn frames_that_repeat_or_are_dark() {
     let mut e = scene();
     e.frames = 3;
     holds(&e, Rule::RepeatedFrames, "frames that repeat");
-    e.video = photoneye_eye::experiment::Video::Pattern(Pattern::Uniform { rgb: [0.0; 3] });
+    e.video = Video::Pattern(Pattern::Uniform { rgb: [0.0; 3] });
     holds(&e, Rule::DarkTiles, "frames and tiles without light");
 }
 

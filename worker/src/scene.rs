@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use photoneye_eye::experiment::{Clip, Experiment, Video};
 use photoneye_eye::exposure::{Exposure, ExposureError};
+use photoneye_eye::video::Picture;
 use photoneye_proto::v1;
 use photoneye_store::BlobDigest;
 use tokio::sync::{Mutex, OnceCell};
@@ -25,6 +26,26 @@ pub(crate) struct Scene {
     pub(crate) clip: Option<Clip>,
     /// Columns and rows of the display.
     pub(crate) size_px: [u32; 2],
+    /// Held while pictures of a clip are made ready for: once, however many shards wait.
+    preparing: Mutex<()>,
+}
+
+impl Scene {
+    /// Prepares what a frame that shows such pictures needs, if no frame before did.
+    pub(crate) async fn make_ready(
+        self: &Arc<Self>,
+        index: u32,
+        shown: &[Arc<Picture>],
+    ) -> Result<(), WorkError> {
+        let _held = self.preparing.lock().await;
+        let (scene, shown) = (Arc::clone(self), shown.to_vec());
+        blocking(move || {
+            let pictures: Vec<&Picture> = shown.iter().map(AsRef::as_ref).collect();
+            let earlier = pictures.get(1..).unwrap_or_default();
+            scene.exposure.make_ready(index, pictures.first().copied(), earlier).map_err(model_error)
+        })
+        .await
+    }
 }
 
 type Slot = Arc<OnceCell<Arc<Scene>>>;
@@ -94,7 +115,7 @@ async fn prepare(shared: &Shared, lease: &Lease, shard: &v1::Shard) -> Result<Ar
     blocking(move || {
         let exposure = Exposure::new(&experiment, &artifacts).map_err(model_error)?;
         let cone_types = exposure.cone_types();
-        Ok(Arc::new(Scene { exposure, cone_types, clip, size_px }))
+        Ok(Arc::new(Scene { exposure, cone_types, clip, size_px, preparing: Mutex::new(()) }))
     })
     .await
 }

@@ -55,6 +55,11 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
 
         // Count the frame.
         let shown = pictures.of_frame(shared, &scene, index).await?;
+        if scene.clip.is_some() {
+            let (started, cpu) = (Instant::now(), shared.cpu.begin());
+            scene.make_ready(index, &shown).await?;
+            stage(&mut report, "prepare", started, cpu);
+        }
         let (started, cpu) = (Instant::now(), shared.cpu.begin());
         let (tile, first_cone, counted) = (shard.tile(), shard.first_cone(), Arc::clone(&scene));
         let pictures_shown = shown.clone();

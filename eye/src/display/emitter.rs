@@ -48,6 +48,31 @@ impl Emitter {
         self.rects[self.rects.len() - 1].0
     }
 
+    /// Whether another one shines at the same places at the same times where a picture is gray: they differ in their spectra alone.
+    pub fn shines_with(&self, other: &Self) -> bool {
+        let driven = |e: &Self| e.channel != Channel::Room;
+        let place = |e: &Self| (e.rects.clone(), e.spot_sd_px);
+        driven(self) && driven(other) && self.waveform == other.waveform && place(self) == place(other)
+    }
+
+    /// One emitter for several that shine together.
+    #[must_use]
+    pub fn together(&self, others: &[&Self]) -> Self {
+        let mut photons: Vec<PhotonSample> = std::iter::once(self)
+            .chain(others.iter().copied())
+            .flat_map(|e| e.photons.iter().copied())
+            .collect();
+        photons.sort_by(|a, b| a.nm.total_cmp(&b.nm));
+        photons.dedup_by(|next, sum| {
+            let same = next.nm.total_cmp(&sum.nm).is_eq();
+            if same {
+                sum.emitted += next.emitted;
+            }
+            same
+        });
+        Self { photons, ..self.clone() }
+    }
+
     /// Photons of a fully driven pixel in a frame, all wavelengths.
     pub fn emitted(&self) -> f64 {
         self.photons.iter().map(|p| p.emitted).sum()

@@ -24,7 +24,7 @@ impl BasisTable {
     pub fn new(scene: &Scene, kernels: &Kernels, band: &Band, kind: usize) -> Self {
         let shape = kernels.shape();
         let [px, py] = scene.period_px.map(|p| p as f64);
-        let (images, primaries) = (kernels.rank(kind), kernels.spec().primaries.len());
+        let (images, primaries) = (kernels.rank(kind), kernels.shares().len());
         let of_run = |run: &Run| -> Vec<f32> {
             let stencils: Vec<_> = (0..run.len)
                 .map(|i| {

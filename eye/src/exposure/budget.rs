@@ -11,6 +11,7 @@ use super::cones::{ConeTable, slant_factor};
 use super::expected::Means;
 use super::inputs::Inputs;
 use super::light::{Shown, Window, courses};
+use super::primaries::Primaries;
 use super::source::{Projector, Source};
 use crate::display::Emitter;
 use crate::media::MACULA_EDGE_DEG;
@@ -58,14 +59,14 @@ impl Ledger {
     ///
     /// # Errors
     /// When the embedded tables cannot be read.
-    pub fn new(inputs: &Inputs, centre_px: [f64; 2]) -> Result<Self, String> {
-        let Inputs { kernels, projection, projector, .. } = inputs;
+    pub fn new(inputs: &Inputs, primaries: &Primaries, centre_px: [f64; 2]) -> Result<Self, String> {
+        let Primaries { kernels, projector } = primaries;
+        let projection = &inputs.projection;
         let absorbers = kernels.spec().absorbers()?;
         let media = &absorbers.media;
         let cornea = |nm: f64| media.cornea(nm, kernels.paths_at(nm).cornea);
         let lens = |nm: f64| media.lens(nm, kernels.paths_at(nm).lens);
         let shares: Vec<Shares> = kernels
-            .spec()
             .shares()
             .iter()
             .map(|primary| {

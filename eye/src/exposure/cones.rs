@@ -115,12 +115,12 @@ impl ConeTable {
     /// # Errors
     /// When a part of the patch does not see the screen.
     pub fn new(inputs: &Inputs, law: EmissionLaw) -> Result<Self, String> {
-        let Inputs { retina, kernels, projection, scene, pointing, .. } = inputs;
+        let Inputs { retina, primaries, projection, scene, pointing, .. } = inputs;
         if retina.is_empty() {
             return Ok(Self { cones: Vec::new() });
         }
         let (min, max) = bounds((0..retina.len()).flat_map(|i| retina.polygon(i)));
-        let [node_min, node_max] = kernels.spec().field_um;
+        let [node_min, node_max] = primaries.kernels.spec().field_um;
         let fit = projection.fit(min.min(node_min), max.max(node_max)).map_err(|e| e.to_string())?;
         let cones = (0..retina.len())
             .into_par_iter()

@@ -21,9 +21,9 @@ use super::drive::drive;
 use super::gather::Stencils;
 use super::grid::{Band, Planar, Real};
 use super::images::{SHEET, Transforms, fours, sheets};
-use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::picture_spectrum::PictureSpectrum;
+use super::primaries::Primaries;
 use super::scene::Scene;
 use super::source::{Source, pixel_transform};
 use super::spectral::ARRIVING;
@@ -72,9 +72,9 @@ enum Precision {
 
 impl Expected {
     /// Prepares a scene's cones and kernels.
-    pub fn new(inputs: &Inputs, cones: &ConeTable, settings: &Numerics) -> Self {
-        let Inputs { kernels, projector, .. } = inputs;
-        let scene = inputs.scene.clone();
+    pub fn new(scene: &Scene, primaries: &Primaries, cones: &ConeTable, settings: &Numerics) -> Self {
+        let Primaries { kernels, projector } = primaries;
+        let scene = scene.clone();
         let spread = Spread::new(settings.spread_width, 1.6);
         let band = Band::new(scene.period_px, scene.samples, scene.band * scene.tangent_per_px);
         let pixels = pixel_transforms(&scene, &spread, &band, &projector.emitters);
@@ -180,7 +180,7 @@ fn seeing(kernels: &Kernels, cones: &ConeTable, blind_below: f64) -> [bool; ARRI
     let catches: [f64; ARRIVING] = std::array::from_fn(|kind| {
         let Some(cone) = cones.cones.iter().find(|c| c.cone_type as usize == kind) else { return 0.0 };
         let own = kernels.coefficients(kind, cone.um, cone.ecc_deg);
-        let primaries = 0..kernels.spec().primaries.len();
+        let primaries = 0..kernels.shares().len();
         let of =
             |p: usize| own.iter().enumerate().map(|(r, c)| c * kernels.table(kind, r, p)[0].re).sum::<f64>();
         primaries.map(of).fold(0.0, f64::max)

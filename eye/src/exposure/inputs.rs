@@ -3,6 +3,7 @@
 use super::ExposureError;
 use super::kernel::Kernels;
 use super::pixel_light::FirstShown;
+use super::primaries::Primaries;
 use super::scene::Scene;
 use super::source::Projector;
 use crate::cone::directional::Pointing;
@@ -20,8 +21,6 @@ pub const POINTING_SHARE: f64 = 0.01;
 pub struct Inputs {
     /// The cones.
     pub retina: Retina,
-    /// The optical kernels.
-    pub kernels: Kernels,
     /// Screen and retina.
     pub projection: Projection,
     /// Window and grid.
@@ -32,8 +31,8 @@ pub struct Inputs {
     pub tile: [u32; 2],
     /// Pointing factors of cones; none where they are left out.
     pub pointing: Option<Pointing>,
-    /// Light and movement.
-    pub projector: Projector,
+    /// Kernels and light.
+    pub primaries: Primaries,
 }
 
 impl Inputs {
@@ -73,13 +72,12 @@ impl Inputs {
         };
         Ok(Self {
             retina,
-            kernels,
             projection,
             scene,
             first_tile,
             tile: tiles.map(|n| n as u32),
             pointing,
-            projector,
+            primaries: Primaries { kernels, projector },
         })
     }
 }

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::density::densities;
 use super::field::Field;
-use super::lowrank::{add, compress, compress_together};
+use super::lowrank::{add, compress, compress_together, reduce};
 use super::padua::FieldNodes;
 use super::polar::PolarShape;
 use super::spectral::{ARRIVING, Absorbers, KINDS, Paths, Share, paths_at};
@@ -156,9 +156,14 @@ impl Place {
 pub struct Kernels {
     head: Head,
     field: FieldNodes,
+    /// By primary, of which the tables are.
+    shares: Vec<Vec<Share>>,
     /// `[basis][r][primary][sample]`.
     tables: [Vec<Vec<Vec<Complex64>>>; 2],
 }
+
+/// Primaries that shine together: their numbers, each with its share of their photons.
+pub type Group = Vec<(usize, f64)>;
 
 impl KernelSpec {
     /// Shares of each primary's photons by wavelength.
@@ -226,7 +231,7 @@ impl KernelSpec {
         let media = self.absorbers()?.media;
         let paths: Vec<Paths> = jobs.iter().map(|(_, w)| Paths::new(w, &media)).collect();
         let (kernels, throughput) = self.kernels_by_place(&jobs, &factors, &paths, shape)?;
-        let weights = self.basis_weights(shape);
+        let weights = basis_weights(shape, self.primaries.len());
         let (counted, arriving) = kernels.split_at(ARRIVING);
         let shared = compress_together(counted, &SHARES, &weights, self.tolerance);
         // Arriving photons enter the budget only, where places average out: a coarser basis will do.
@@ -248,6 +253,7 @@ impl KernelSpec {
                 paths: self.mean_paths(&paths),
             },
             field: self.field(),
+            shares: self.shares(),
             tables,
         })
     }
@@ -332,31 +338,93 @@ impl KernelSpec {
         let by_kind = (0..KINDS.len()).map(|_| kernels.by_ref().take(per_kind).collect()).collect();
         Ok((by_kind, throughput / jobs.len().max(1) as f64))
     }
+}
 
-    /// Weights of the samples in the basis: `dν/ν` times the aperture's transform squared, and the mean.
-    ///
-    /// An error of the kernel at frequencies about ν spreads over an area of 1/ν². Its share of the light over the whole image (L1) is the
-    /// root of area times energy, `|e(ν)|·ν·(1/ν)`: every octave weighs the same; so it does in the mean picture, whose power falls with
-    /// 1/ν². With the area ν dν alone (L2) 11 images left an L1 of 2.3e-3 on one lit pixel; so weighted 12 leave 3.9e-4.
-    fn basis_weights(&self, shape: PolarShape) -> Vec<f64> {
-        let at = |i: usize| i % shape.radial;
-        let of_octave = |i: usize| {
-            let nu = shape.radius * at(i) as f64 / (shape.radial - 1) as f64;
-            let blur =
-                (-0.5 * (std::f64::consts::TAU * nu / UM_PER_TANGENT * APERTURE_UM / 4.0).powi(2)).exp();
-            if at(i) == 0 { 0.0 } else { blur * blur / at(i) as f64 }
-        };
-        let one: Vec<f64> = (0..shape.len()).map(of_octave).collect();
-        let mean = MEAN_WEIGHT * one.iter().sum::<f64>() / shape.azimuthal as f64;
-        let one: Vec<f64> = (0..).zip(one).map(|(i, w)| if at(i) == 0 { mean } else { w }).collect();
-        self.primaries.iter().flat_map(|_| one.iter().copied()).collect()
-    }
+/// Shares with those of the same wavelength added up, by wavelength.
+fn summed(mut shares: Vec<Share>) -> Vec<Share> {
+    shares.sort_by(|a, b| a.0.total_cmp(&b.0));
+    shares.dedup_by(|next, sum| {
+        let same = next.0.total_cmp(&sum.0).is_eq();
+        if same {
+            sum.1 += next.1;
+        }
+        same
+    });
+    shares
+}
+
+/// Weights of the samples in the basis: `dν/ν` times the aperture's transform squared, and the mean.
+///
+/// An error of the kernel at frequencies about ν spreads over an area of 1/ν². Its share of the light over the whole image (L1) is the
+/// root of area times energy, `|e(ν)|·ν·(1/ν)`: every octave weighs the same; so it does in the mean picture, whose power falls with
+/// 1/ν². With the area ν dν alone (L2) 11 images left an L1 of 2.3e-3 on one lit pixel; so weighted 12 leave 3.9e-4.
+fn basis_weights(shape: PolarShape, primaries: usize) -> Vec<f64> {
+    let at = |i: usize| i % shape.radial;
+    let of_octave = |i: usize| {
+        let nu = shape.radius * at(i) as f64 / (shape.radial - 1) as f64;
+        let blur = (-0.5 * (std::f64::consts::TAU * nu / UM_PER_TANGENT * APERTURE_UM / 4.0).powi(2)).exp();
+        if at(i) == 0 { 0.0 } else { blur * blur / at(i) as f64 }
+    };
+    let one: Vec<f64> = (0..shape.len()).map(of_octave).collect();
+    let mean = MEAN_WEIGHT * one.iter().sum::<f64>() / shape.azimuthal as f64;
+    let one: Vec<f64> = (0..).zip(one).map(|(i, w)| if at(i) == 0 { mean } else { w }).collect();
+    one.repeat(primaries)
 }
 
 impl Kernels {
     /// The inputs.
     pub fn spec(&self) -> &KernelSpec {
         &self.head.spec
+    }
+
+    /// Shares of each primary's photons by wavelength.
+    pub fn shares(&self) -> &[Vec<Share>] {
+        &self.shares
+    }
+
+    /// The kernels of primaries that shine together, one a group: those of a mixture of their light. What L, M and S see of it differs less than
+    /// what they see of each: a smaller basis does, which leaves a relative error of `tolerance` more.
+    #[must_use]
+    pub fn together(&self, groups: &[Group], tolerance: f64) -> Self {
+        let shares = groups.iter().map(|group| {
+            let own = group.iter().flat_map(|&(primary, part)| {
+                self.shares[primary].iter().map(move |(nm, share)| (*nm, part * share))
+            });
+            summed(own.collect())
+        });
+        let samples = self.head.shape.len();
+        let weights = basis_weights(self.head.shape, groups.len());
+        let mut made = Self { shares: shares.collect(), ..self.clone() };
+        for (basis, tables) in self.tables.iter().enumerate() {
+            let mixed = |by_primary: &Vec<Vec<Complex64>>| -> Vec<Complex64> {
+                let mut kernel = vec![Complex64::ZERO; groups.len() * samples];
+                for (group, kernel) in groups.iter().zip(kernel.chunks_exact_mut(samples)) {
+                    for &(primary, part) in group {
+                        add(kernel, &by_primary[primary], part);
+                    }
+                }
+                kernel
+            };
+            let old: Vec<Vec<Complex64>> = tables.par_iter().map(mixed).collect();
+            let own = (0..KINDS.len()).filter(|kind| basis_of(*kind) == basis);
+            let sets: Vec<&[Vec<f64>]> =
+                own.clone().map(|kind| self.head.kinds[kind].from_basis.as_slice()).collect();
+            let shares = if basis == 0 { &SHARES[..] } else { &[1.0] };
+            let reduced = reduce(&old, &sets, shares, &weights, tolerance);
+            for kind in own {
+                let own = |c: &Vec<f64>| {
+                    reduced.from_old.iter().map(|row| row.iter().zip(c).map(|(f, c)| f * c).sum()).collect()
+                };
+                made.head.kinds[kind].from_basis = self.head.kinds[kind].from_basis.iter().map(own).collect();
+            }
+            if basis == 0 {
+                made.head.basis_error = self.head.basis_error.hypot(reduced.error);
+            }
+            made.head.ranks[basis] = reduced.kernels.len();
+            let split = |kernel: &Vec<Complex64>| kernel.chunks(samples).map(<[Complex64]>::to_vec).collect();
+            made.tables[basis] = reduced.kernels.iter().map(split).collect();
+        }
+        made
     }
 
     /// Shape of the tables.
@@ -443,6 +511,6 @@ impl Kernels {
         let mut next = || parts.next().map(<[Complex64]>::to_vec).unwrap_or_default();
         let tables =
             head.ranks.map(|rank| (0..rank).map(|_| (0..primaries).map(|_| next()).collect()).collect());
-        Ok(Self { field: head.spec.field(), head, tables })
+        Ok(Self { field: head.spec.field(), shares: head.spec.shares(), head, tables })
     }
 }

@@ -35,25 +35,16 @@ pub fn compress(kernels: &[Vec<Complex64>], weights: &[f64], tolerance: f64) -> 
         }
     }
     let (values, vectors) = symmetric_eigen(gram);
-    let mut order: Vec<usize> = (0..n).collect();
-    order.sort_by(|&i, &j| values[j].total_cmp(&values[i]).then(i.cmp(&j)));
-    let total: f64 = values.iter().map(|v| v.max(0.0)).sum();
-    let mut dropped = total;
-    let mut rank = 0;
-    while rank < n && (rank == 0 || dropped > tolerance * tolerance * total) {
-        dropped = (dropped - values[order[rank]].max(0.0)).max(0.0);
-        rank += 1;
-    }
+    let (order, error) = largest_first(&values, tolerance);
     let samples = kernels.first().map_or(0, Vec::len);
-    let mut basis = vec![vec![Complex64::ZERO; samples]; rank];
+    let mut basis = vec![vec![Complex64::ZERO; samples]; order.len()];
     for (kernel, &column) in basis.iter_mut().zip(&order) {
         for (a, source) in kernels.iter().enumerate() {
             add(kernel, source, vectors[a][column]);
         }
     }
-    let coefficients =
-        (0..n).map(|a| order[..rank].iter().map(|&column| vectors[a][column]).collect()).collect();
-    Basis { coefficients, kernels: basis, error: if total > 0.0 { (dropped / total).sqrt() } else { 0.0 } }
+    let coefficients = (0..n).map(|a| order.iter().map(|&column| vectors[a][column]).collect()).collect();
+    Basis { coefficients, kernels: basis, error }
 }
 
 /// Sums that are kept side by side.
@@ -88,6 +79,8 @@ pub fn add(to: &mut [Complex64], kernel: &[Complex64], factor: f64) {
 const ALONE: f64 = 0.2;
 /// A set whose norm is smaller than this share of the largest one counts as if it had that norm: what it adds is not seen.
 const FAINT: f64 = 1e-3;
+/// A direction with less than this share of the largest square is a rounding error.
+const DEPENDENT: f64 = 1e-13;
 
 /// One basis for several sets of kernels `[set][a][sample]`: `coefficients[set][a][r]`.
 #[derive(Clone, Debug)]
@@ -136,6 +129,85 @@ pub fn compress_together(
         error: together.error.hypot(alone_error),
         kernels: together.kernels,
     }
+}
+
+/// Fewer kernels for those that are mixtures of others.
+#[derive(Clone, Debug)]
+pub struct Reduced {
+    /// `[r][sample]`.
+    pub kernels: Vec<Vec<Complex64>>,
+    /// `[r][old]`: a mixture's coefficient of kernel r from its old ones.
+    pub from_old: Vec<Vec<f64>>,
+    /// As [`SharedBasis::error`], of this step alone.
+    pub error: f64,
+}
+
+/// Kernels of a smaller basis than `kernels[old][sample]` for the mixtures `sets[set][a][old]` of them; shares and tolerance as in
+/// [`compress_together`]. With the Gram matrix of the kernels `G = W Wᵀ` the mixtures c are vectors Wᵀc of the same lengths and angles: their
+/// principal directions are found among as many numbers as there are kernels, whatever the number of mixtures and samples.
+pub fn reduce(
+    kernels: &[Vec<Complex64>],
+    sets: &[&[Vec<f64>]],
+    shares: &[f64],
+    weights: &[f64],
+    tolerance: f64,
+) -> Reduced {
+    let n = kernels.len();
+    let gram: Vec<Vec<f64>> =
+        (0..n).map(|a| (0..n).map(|b| dot(&kernels[a], &kernels[b], weights)).collect()).collect();
+    let (values, vectors) = symmetric_eigen(gram);
+    let largest = values.iter().copied().fold(0.0, f64::max);
+    let kept: Vec<usize> = (0..n).filter(|&i| values[i] > DEPENDENT * largest).collect();
+    let place = |c: &Vec<f64>| -> Vec<f64> {
+        let along = |&i: &usize| values[i].sqrt() * (0..n).map(|r| vectors[r][i] * c[r]).sum::<f64>();
+        kept.iter().map(along).collect()
+    };
+    let places: Vec<Vec<Vec<f64>>> = sets.iter().map(|set| set.iter().map(place).collect()).collect();
+    let square = |set: &Vec<Vec<f64>>| set.iter().flatten().map(|v| v * v).sum::<f64>();
+    let most = places.iter().map(square).fold(0.0, f64::max);
+    let mut spread = vec![vec![0.0; kept.len()]; kept.len()];
+    for (set, share) in places.iter().zip(shares) {
+        let factor = share / square(set).max(FAINT * FAINT * most).max(f64::MIN_POSITIVE);
+        for at in set {
+            for (row, x) in spread.iter_mut().zip(at) {
+                row.iter_mut().zip(at).for_each(|(sum, y)| *sum += factor * x * y);
+            }
+        }
+    }
+    let (squares, directions) = symmetric_eigen(spread);
+    let (order, error) = largest_first(&squares, tolerance);
+    // Of an orthonormal kernel along a direction.
+    let of_old = |&r: &usize, power: f64| -> Vec<f64> {
+        let part =
+            |old: usize, (j, &i): (usize, &usize)| vectors[old][i] * values[i].powf(power) * directions[j][r];
+        (0..n).map(|old| kept.iter().enumerate().map(|at| part(old, at)).sum()).collect()
+    };
+    let samples = kernels.first().map_or(0, Vec::len);
+    let kernel = |r: &usize| {
+        let mut sum = vec![Complex64::ZERO; samples];
+        kernels.iter().zip(of_old(r, -0.5)).for_each(|(kernel, factor)| add(&mut sum, kernel, factor));
+        sum
+    };
+    Reduced {
+        kernels: order.iter().map(kernel).collect(),
+        from_old: order.iter().map(|r| of_old(r, 0.5)).collect(),
+        error,
+    }
+}
+
+/// Places of the largest values, as few as leave a sum of at most the square of `tolerance` of all; and the root of what they leave.
+fn largest_first(values: &[f64], tolerance: f64) -> (Vec<usize>, f64) {
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_by(|&i, &j| values[j].total_cmp(&values[i]).then(i.cmp(&j)));
+    let total: f64 = values.iter().map(|v| v.max(0.0)).sum();
+    let mut dropped = total;
+    let mut rank = 0;
+    while rank < order.len() && (rank == 0 || dropped > tolerance * tolerance * total) {
+        dropped = (dropped - values[order[rank]].max(0.0)).max(0.0);
+        rank += 1;
+    }
+    order.truncate(rank);
+    (order, if total > 0.0 { (dropped / total).sqrt() } else { 0.0 })
 }
 
 /// Eigenvalues and eigenvectors (columns) of a symmetric matrix by cyclic Jacobi rotations; at most 60 sweeps.
@@ -199,6 +271,39 @@ mod tests {
             for (i, exact) in kernel.iter().enumerate() {
                 let made: Complex64 = (0..3).map(|r| basis.kernels[r][i] * basis.coefficients[a][r]).sum();
                 assert!((made - exact).norm() < 1e-5);
+            }
+        }
+    }
+
+    /// Seven kernels of which the mixtures need three: each mixture comes back, and so many kernels are enough.
+    #[test]
+    fn mixtures_need_fewer() {
+        let source =
+            |r: usize, i: usize| Complex64::new(((i * (r + 1)) as f64 * 0.1).cos(), (r * i) as f64 * 0.01);
+        let old: Vec<Vec<Complex64>> = (0..7)
+            .map(|a| {
+                (0..200)
+                    .map(|i| (0..5).map(|r| source(r, i) * (((a + 1) * (r + 2)) as f64).sin()).sum())
+                    .collect()
+            })
+            .collect();
+        // Mixtures of three of them, with norms that differ by 1e3.
+        let set = |factor: f64| -> Vec<Vec<f64>> {
+            let own =
+                |a: usize| (0..7).map(move |r| if r < 3 { factor * ((a * r + r) as f64).cos() } else { 0.0 });
+            (0..9).map(|a| own(a).collect()).collect()
+        };
+        let (first, second) = (set(1.0), set(1e-3));
+        let made = reduce(&old, &[&first, &second], &[0.7, 0.3], &[1.0; 200], 1e-6);
+        assert_eq!(made.kernels.len(), 3);
+        for c in first.iter().chain(&second) {
+            let scale = c.iter().map(|c| c.abs()).fold(0.0, f64::max);
+            let own: Vec<f64> =
+                made.from_old.iter().map(|row| row.iter().zip(c).map(|(f, c)| f * c).sum()).collect();
+            for i in 0..200 {
+                let exact: Complex64 = old.iter().zip(c).map(|(k, c)| k[i] * *c).sum();
+                let reduced: Complex64 = made.kernels.iter().zip(&own).map(|(k, c)| k[i] * *c).sum();
+                assert!((exact - reduced).norm() < 1e-5 * scale);
             }
         }
     }

@@ -18,6 +18,7 @@ use super::expected::Means;
 use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::light::{Course, Shown, courses, frame_light};
+use super::primaries::Primaries;
 use super::source::Projector;
 use super::spectral::ARRIVING;
 use crate::experiment::StrayLight;
@@ -80,8 +81,9 @@ pub struct Veil {
 
 impl Veil {
     /// Prepares the veil over a tile's cones.
-    pub fn new(inputs: &Inputs, cones: &ConeTable, stray: StrayLight) -> Self {
-        let Inputs { projector, scene, kernels, projection, .. } = inputs;
+    pub fn new(inputs: &Inputs, primaries: &Primaries, cones: &ConeTable, stray: StrayLight) -> Self {
+        let Primaries { kernels, projector } = primaries;
+        let Inputs { scene, projection, .. } = inputs;
         let display = &projector.display;
         let px_deg = scene.tangent_per_px.to_degrees();
         let block_px = ((BLOCK_DEG / px_deg).floor() as u32).max(1);
@@ -224,7 +226,7 @@ fn receivers(kernels: &Kernels, cones: &ConeTable, corner_px: DVec2, px_per_poin
                 kernels.coefficients(kind, cone.um, cone.ecc_deg),
                 kernels.coefficients(ARRIVING, cone.um, cone.ecc_deg),
             );
-            let per_photon = (0..kernels.spec().primaries.len()).map(|k| {
+            let per_photon = (0..kernels.shares().len()).map(|k| {
                 [area * cone.pointing * mean_light(kind, k, &own), area * mean_light(ARRIVING, k, &arriving)]
             });
             let per_photon = per_photon.collect();

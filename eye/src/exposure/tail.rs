@@ -19,10 +19,10 @@ use super::bounds;
 use super::cones::ConeTable;
 use super::expected::Means;
 use super::grid::dot;
-use super::inputs::Inputs;
 use super::kernel::Kernels;
 use super::light::{Shown, courses, frame_light};
 use super::nodes::{chebyshev, lagrange};
+use super::primaries::Primaries;
 use super::scene::Scene;
 use super::source::{Projector, Source};
 use super::spectral::{ARRIVING, KINDS};
@@ -77,8 +77,8 @@ pub struct Tail {
 
 impl Tail {
     /// Prepares the correction over a tile's cones; `None` when it has none.
-    pub fn new(inputs: &Inputs, cones: &ConeTable) -> Option<Self> {
-        let Inputs { projector, scene, kernels, .. } = inputs;
+    pub fn new(scene: &Scene, primaries: &Primaries, cones: &ConeTable) -> Option<Self> {
+        let Primaries { kernels, projector } = primaries;
         if cones.cones.is_empty() || scene.size_px.contains(&0) {
             return None;
         }
@@ -270,7 +270,7 @@ fn slopes(
         let scale = -1.0 / (4.0 * std::f64::consts::PI.powi(2) * tangent_per_px);
         [scale * harmonics[0], 3.0 * scale * harmonics[1], 3.0 * scale * harmonics[2]]
     };
-    (0..kernels.spec().primaries.len()).map(of_primary).collect()
+    (0..kernels.shares().len()).map(of_primary).collect()
 }
 
 /// Blocks of the window, each a third as wide as its nearest copy is far from the cones.

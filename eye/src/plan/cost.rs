@@ -129,7 +129,7 @@ pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], ma
     }
     let parts = tiles.len().max(1) as f64;
     let samples = tiles.iter().map(|t| t.scene.samples.iter().product::<usize>() as f64).sum::<f64>();
-    let primaries = experiment.display.primaries.len() as f64;
+    let primaries = super::lit::computed_primaries(experiment) as f64;
     let counting = super::engine::cost(experiment.counts.engine, experiment, setup, tiles, cones);
     let cones_bytes = cones * BYTES_PER_CONE;
     let images_bytes = samples * IMAGES * (2.0 * primaries + 4.0) + 4.0 * samples * 16.0;

@@ -33,11 +33,12 @@ const SECONDS_PER_MEAN: f64 = 0.5e-6;
 const SECONDS_PER_LIGHT: f64 = 11e-9;
 /// CPU seconds per cone and frame of counts that are gathered.
 const SECONDS_PER_COUNT: f64 = 20e-9;
-/// Basis images, about.
+/// Basis images of several primaries, about, and of one.
 pub(super) const IMAGES: f64 = 12.0;
-/// CPU seconds per grid sample and basis image: made ready, and of a frame.
-const SECONDS_PER_READY_SAMPLE: f64 = 12e-9;
-const SECONDS_PER_SAMPLE: f64 = 4e-9;
+const IMAGES_OF_ONE: f64 = 9.0;
+/// CPU seconds per grid sample and basis image, and for each primary more: made ready, and of a frame.
+const SECONDS_PER_READY_SAMPLE: [f64; 2] = [3e-9, 3e-9];
+const SECONDS_PER_SAMPLE: [f64; 2] = [2.5e-9, 0.5e-9];
 /// `AUTO` takes `EVENTS` when it is predicted to take less than this share of what `EXPECTED` does.
 const CLEARLY: f64 = 0.5;
 
@@ -99,8 +100,10 @@ fn clearly_not_events(experiment: &Experiment, setup: &Setup) -> bool {
         .sum();
     let cones = super::cost::cones_in(setup);
     // What is made ready once counts as much as it would for one frame.
-    let images = samples * IMAGES * (SECONDS_PER_READY_SAMPLE + SECONDS_PER_SAMPLE);
-    let light = pixels * display.primaries.len() as f64 * SECONDS_PER_LIGHT;
+    let primaries = display.primaries.len() as f64;
+    let of = |[each, more]: [f64; 2]| each + primaries * more;
+    let images = samples * IMAGES * (of(SECONDS_PER_READY_SAMPLE) + of(SECONDS_PER_SAMPLE));
+    let light = pixels * primaries * SECONDS_PER_LIGHT;
     let expected = cones * (SECONDS_PER_READY_CONE + SECONDS_PER_MEAN) + light + images;
     events > CLEARLY * expected
 }
@@ -164,11 +167,14 @@ pub(super) fn cost(
     match engine {
         Engine::Expected => {
             let samples: f64 = tiles.iter().map(|t| t.scene.samples.iter().product::<usize>() as f64).sum();
-            let images = samples * IMAGES;
-            let light = pixels_of(tiles) * experiment.display.primaries.len() as f64 * SECONDS_PER_LIGHT;
+            let primaries = super::lit::computed_primaries(experiment);
+            let images = if primaries == 1 { IMAGES_OF_ONE } else { IMAGES };
+            let primaries = primaries as f64;
+            let of = |[each, more]: [f64; 2]| samples * images * (each + primaries * more);
+            let light = pixels_of(tiles) * primaries * SECONDS_PER_LIGHT;
             EngineCost {
-                prepare: ready + images * SECONDS_PER_READY_SAMPLE,
-                frame: light + images * SECONDS_PER_SAMPLE + cones * SECONDS_PER_MEAN,
+                prepare: ready + of(SECONDS_PER_READY_SAMPLE),
+                frame: light + of(SECONDS_PER_SAMPLE) + cones * images / IMAGES * SECONDS_PER_MEAN,
             }
         }
         Engine::Events => {

@@ -2,8 +2,10 @@
 //! uploaded clip may light all primaries and is taken as evenly lit.
 
 use super::Rule;
-use crate::display::{Channel, Place};
+use crate::display::{Channel, Place, emitters};
 use crate::experiment::{Experiment, Video};
+use crate::exposure::joins;
+use crate::exposure::primaries::groups;
 use crate::spectrum::Spectrum;
 use crate::video::draw;
 
@@ -38,6 +40,16 @@ pub fn primaries(experiment: &Experiment) -> Vec<bool> {
     };
     let lit: Vec<bool> = display.primaries.iter().map(|p| lights(p.channel)).collect();
     if lit.contains(&true) { lit } else { all }
+}
+
+/// Primaries that `expected` computes: fewer than there are where a drawn pattern is gray. What an uploaded clip shows is not known yet.
+pub fn computed_primaries(experiment: &Experiment) -> usize {
+    let all = experiment.display.primaries.len();
+    let gray = matches!(&experiment.video, Video::Pattern(pattern) if pattern.is_gray());
+    match emitters(&experiment.display) {
+        Ok(emitters) if gray && joins(experiment, &emitters) => groups(&emitters).len(),
+        _ => all,
+    }
 }
 
 /// Root mean square over mean of the picture's light: 1 of an even picture, the root of the number of pixels of a single lit one.

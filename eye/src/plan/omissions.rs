@@ -13,6 +13,7 @@ use crate::cone::pigment::unbleached;
 use crate::display::{FORGOTTEN, Levels, Primary, Waveform};
 use crate::experiment::{Engine, Experiment, StrayLight};
 use crate::exposure::inputs::{POINTING_SHARE, pointing_effect, pointing_of};
+use crate::exposure::primaries;
 use crate::exposure::stray::scattered_share;
 use crate::media::MACULA_EDGE_DEG;
 use crate::psf::{Wavefront, WavefrontOptions};
@@ -39,7 +40,7 @@ pub fn list(
     wavelengths: &Wavelengths,
 ) -> Vec<Omission> {
     let look = Look { experiment, setup, tiles, wavelengths };
-    let rules: [(Option<Rule>, Tell); 19] = [
+    let rules: [(Option<Rule>, Tell); 20] = [
         (Some(Rule::ConesOutside), cones_outside),
         (Some(Rule::Wavelengths), dark_wavelengths),
         (Some(Rule::FieldNodes), field_nodes),
@@ -49,6 +50,7 @@ pub fn list(
         (Some(Rule::Eccentricities), eccentricities),
         (None, macula),
         (Some(Rule::UnlitPrimaries), unlit_primaries),
+        (Some(Rule::JoinedPrimaries), joined_primaries),
         (Some(Rule::RepeatedFrames), repeated_frames),
         (Some(Rule::DarkTiles), dark_tiles),
         (Some(Rule::BlindTypes), blind_types),
@@ -158,6 +160,15 @@ fn unlit_primaries(look: &Look) -> Option<Omission> {
         format!("{dark} primaries are dark in the whole video; the low-rank basis is chosen without them");
     let bound = error::basis_part(look.experiment);
     (dark > 0).then(|| omission("optics of primaries that nothing lights", &why, bound))
+}
+
+fn joined_primaries(look: &Look) -> Option<Omission> {
+    let (computed, all) = (lit::computed_primaries(look.experiment), look.experiment.display.primaries.len());
+    let why = format!(
+        "the video is gray and they shine at the same places and times: {all} are computed as {computed}, with a basis of images of its own"
+    );
+    let bound = primaries::BASIS_SHARE * error::basis_part(look.experiment);
+    (computed < all).then(|| omission("what gray pictures do not show of single primaries", &why, bound))
 }
 
 fn repeated_frames(look: &Look) -> Option<Omission> {

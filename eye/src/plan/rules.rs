@@ -18,6 +18,8 @@ pub enum Rule {
     Eccentricities,
     /// Primaries that no picture lights.
     UnlitPrimaries,
+    /// Primaries that show the same.
+    JoinedPrimaries,
     /// Frames that show the same as the first.
     RepeatedFrames,
     /// Frames and tiles without light.
@@ -32,13 +34,14 @@ pub enum Rule {
 
 impl Rule {
     /// All of them.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::ConesOutside,
         Self::Wavelengths,
         Self::FieldNodes,
         Self::StillEye,
         Self::Eccentricities,
         Self::UnlitPrimaries,
+        Self::JoinedPrimaries,
         Self::RepeatedFrames,
         Self::DarkTiles,
         Self::BlindTypes,

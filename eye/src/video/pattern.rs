@@ -97,6 +97,18 @@ fn check_rgb(field: &str, rgb: [f64; 3]) -> Result<(), RangeError> {
 }
 
 impl Pattern {
+    /// Whether red, green and blue are the same everywhere.
+    pub fn is_gray(&self) -> bool {
+        let gray = |rgb: &[f64; 3]| rgb.iter().all(|v| v.to_bits() == rgb[0].to_bits());
+        match self {
+            Self::Grating { .. } | Self::Checkerboard { .. } => true,
+            Self::Uniform { rgb } | Self::Point { rgb, .. } | Self::Sweep { rgb, .. } => gray(rgb),
+            Self::SloanChart(chart) => {
+                gray(&chart.paper_rgb) && gray(&chart.ink_rgb) && chart.lower_paper_rgb.iter().all(gray)
+            }
+        }
+    }
+
     /// Checks ranges for a display of columns and rows.
     ///
     /// # Errors

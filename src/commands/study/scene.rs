@@ -123,6 +123,9 @@ impl Outcome {
         for index in 0..experiment.frames {
             let watch = Stopwatch::start();
             let picture = pictures.get(index as usize).or(pictures.last());
+            exposure.make_ready(index, picture, &[]).map_err(|e| e.to_string())?;
+            self.stages.prepare += watch.seconds();
+            let watch = Stopwatch::start();
             let frame = exposure.frame(index, picture).map_err(|e| e.to_string())?;
             self.stages.frames += watch.seconds();
             let watch = Stopwatch::start();

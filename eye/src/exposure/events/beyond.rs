@@ -32,11 +32,11 @@ pub(super) struct More<'a> {
 impl Beyond {
     /// Over the cones of a tile; `None` when the window is the whole screen.
     pub(super) fn new(inputs: &Inputs, cones: &ConeTable) -> Option<Self> {
-        let display = &inputs.projector.display;
+        let display = &inputs.primaries.projector.display;
         if inputs.scene.size_px == [display.width_px, display.height_px] {
             return None;
         }
-        Some(Self { tail: Tail::new(inputs, cones)? })
+        Some(Self { tail: Tail::new(&inputs.scene, &inputs.primaries, cones)? })
     }
 
     /// Draws a frame's photons.

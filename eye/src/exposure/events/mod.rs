@@ -38,6 +38,7 @@ use super::cones::ConeTable;
 use super::expected::Means;
 use super::inputs::Inputs;
 use super::light::Shown;
+use super::primaries::Primaries;
 use super::scene::Scene;
 use super::source::{Layer, Projector};
 use crate::experiment::Experiment;
@@ -87,7 +88,8 @@ impl Events {
     /// # Errors
     /// When a part of the window is not seen or the pupil cannot be traced.
     pub fn new(experiment: &Experiment, inputs: &Inputs, cones: &ConeTable) -> Result<Self, String> {
-        let Inputs { retina, kernels, projection, projector, scene, .. } = inputs;
+        let Inputs { retina, primaries, projection, scene, .. } = inputs;
+        let Primaries { kernels, projector } = primaries;
         let (low, high) =
             super::bounds(cones.cones.iter().flat_map(|c| c.polygon_px.iter().map(|p| scene.tangent(*p))));
         let landing = Landing::new(projection, scene, [low, high])?;

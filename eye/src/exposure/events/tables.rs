@@ -136,7 +136,8 @@ impl Tables {
         landing: &Landing,
         experiment: &Experiment,
     ) -> Result<Self, String> {
-        let Inputs { kernels, retina, .. } = inputs;
+        let Inputs { primaries, retina, .. } = inputs;
+        let kernels = &primaries.kernels;
         let spec = kernels.spec();
         let absorbers = spec.absorbers()?;
         let shares = spec.shares();
@@ -366,7 +367,8 @@ fn trace(
     (first_um, step_um, side): (DVec2, DVec2, [usize; 2]),
     bins_per_um: f64,
 ) -> Result<Vec<Nodes>, String> {
-    let Inputs { kernels, projection, .. } = inputs;
+    let Inputs { primaries, projection, .. } = inputs;
+    let kernels = &primaries.kernels;
     let spec = kernels.spec();
     let points: Vec<FieldPoint> = (0..side[0] * side[1])
         .map(|node| {

@@ -21,6 +21,7 @@ use crate::display::Emitter;
 use crate::experiment::{Experiment, PaperSettings};
 use crate::exposure::inputs::Inputs;
 use crate::exposure::light::{Course, Shown, courses, courses_at, frame_light, light};
+use crate::exposure::primaries::Primaries;
 use crate::exposure::scene::Scene;
 use crate::exposure::source::Projector;
 use crate::exposure::spectral::{Absorbers, Paths};
@@ -93,7 +94,8 @@ impl Paper {
     /// # Errors
     /// When a node of the screen is not seen.
     pub fn new(experiment: &Experiment, inputs: &Inputs) -> Result<Self, String> {
-        let Inputs { retina, kernels, projection, scene, pointing, projector, .. } = inputs;
+        let Inputs { retina, projection, scene, pointing, primaries, .. } = inputs;
+        let Primaries { kernels, projector } = primaries;
         let absorbers = kernels.spec().absorbers()?;
         let columns = crate::exposure::cone_columns(experiment, retina)?;
         let cones = (0..retina.len())
