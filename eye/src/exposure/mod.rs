@@ -121,7 +121,7 @@ pub struct Exposure {
 
 /// Whether gray pictures have some primaries computed as one.
 pub(crate) fn joins(experiment: &Experiment, emitters: &[Emitter]) -> bool {
-    experiment.counts.engine == Engine::Expected
+    experiment.counts.engine != Engine::Paper
         && Rule::JoinedPrimaries.applies(experiment)
         && primaries::groups(emitters).len() < emitters.len()
 }

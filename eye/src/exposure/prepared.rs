@@ -99,7 +99,7 @@ impl Prepared {
         let engine = experiment.counts.engine;
         let counter: Box<dyn Counter> = match engine {
             Engine::Expected => Box::new(Expected::new(scene, primaries, cones, &settings)),
-            Engine::Events => Box::new(Events::new(experiment, inputs, cones).map_err(model)?),
+            Engine::Events => Box::new(Events::new(experiment, inputs, primaries, cones).map_err(model)?),
             Engine::Paper => Box::new(Paper::new(experiment, inputs).map_err(model)?),
         };
         let veil = experiment.eye.stray_light.map(|light| Veil::new(inputs, primaries, cones, light));

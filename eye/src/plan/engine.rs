@@ -181,7 +181,7 @@ pub(super) fn cost(
             let spread_um = if experiment.accuracy_target < 0.005 { 100.0 } else { 200.0 };
             let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0).powi(4);
             let pixels = pixels_of(tiles);
-            let layers = experiment.display.primaries.len() as f64;
+            let layers = super::lit::computed_primaries(experiment) as f64;
             let drawn = photons_per_pixel(experiment) * pixels * DRAWN_SHARE;
             EngineCost {
                 prepare: ready + nodes(spread_um) * waves * SECONDS_PER_TABLE * pupil,

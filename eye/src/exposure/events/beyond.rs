@@ -9,8 +9,9 @@ use super::list::Lister;
 use super::tables::Tables;
 use crate::exposure::cones::ConeTable;
 use crate::exposure::expected::Means;
-use crate::exposure::inputs::Inputs;
 use crate::exposure::light::{Course, Shown, courses};
+use crate::exposure::primaries::Primaries;
+use crate::exposure::scene::Scene;
 use crate::exposure::source::{Layer, Projector, Source, SourcePrimary};
 use crate::exposure::tail::Tail;
 use crate::exposure::{Photon, poisson};
@@ -31,12 +32,12 @@ pub(super) struct More<'a> {
 
 impl Beyond {
     /// Over the cones of a tile; `None` when the window is the whole screen.
-    pub(super) fn new(inputs: &Inputs, cones: &ConeTable) -> Option<Self> {
-        let display = &inputs.primaries.projector.display;
-        if inputs.scene.size_px == [display.width_px, display.height_px] {
+    pub(super) fn new(scene: &Scene, primaries: &Primaries, cones: &ConeTable) -> Option<Self> {
+        let display = &primaries.projector.display;
+        if scene.size_px == [display.width_px, display.height_px] {
             return None;
         }
-        Some(Self { tail: Tail::new(&inputs.scene, &inputs.primaries, cones)? })
+        Some(Self { tail: Tail::new(scene, primaries, cones)? })
     }
 
     /// Draws a frame's photons.

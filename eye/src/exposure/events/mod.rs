@@ -87,14 +87,19 @@ impl Events {
     ///
     /// # Errors
     /// When a part of the window is not seen or the pupil cannot be traced.
-    pub fn new(experiment: &Experiment, inputs: &Inputs, cones: &ConeTable) -> Result<Self, String> {
-        let Inputs { retina, primaries, projection, scene, .. } = inputs;
+    pub fn new(
+        experiment: &Experiment,
+        inputs: &Inputs,
+        primaries: &Primaries,
+        cones: &ConeTable,
+    ) -> Result<Self, String> {
+        let Inputs { retina, projection, scene, .. } = inputs;
         let Primaries { kernels, projector } = primaries;
         let (low, high) =
             super::bounds(cones.cones.iter().flat_map(|c| c.polygon_px.iter().map(|p| scene.tangent(*p))));
         let landing = Landing::new(projection, scene, [low, high])?;
         let index = ConeIndex::new(retina);
-        let tables = Tables::new(inputs, (cones, &index), &landing, experiment)?;
+        let tables = Tables::new((inputs, kernels), (cones, &index), &landing, experiment)?;
         let [width, height] = scene.size_px;
         let law = projector.display.emission_law;
         let pixels = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
@@ -110,7 +115,7 @@ impl Events {
             landing,
             tables,
             slant,
-            beyond: Beyond::new(inputs, cones),
+            beyond: Beyond::new(scene, primaries, cones),
             listed: experiment.counts.photon_list,
         })
     }

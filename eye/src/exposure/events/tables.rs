@@ -12,6 +12,8 @@ use crate::exposure::cones::{ConeTable, MappedCone};
 use crate::exposure::inputs::Inputs;
 use crate::exposure::spectral::{ARRIVING, KINDS, Share};
 use crate::exposure::transfer::{FieldPoint, spot_radius_um, wavefronts};
+use crate::exposure::{KernelSpec, Kernels};
+use crate::optics::Projection;
 use crate::psf::Wavefront;
 use crate::retina::{ConeIndex, Origin};
 
@@ -131,16 +133,15 @@ impl Tables {
     /// # Errors
     /// When a node is not seen or the pupil cannot be traced there.
     pub(super) fn new(
-        inputs: &Inputs,
+        (inputs, kernels): (&Inputs, &Kernels),
         (cones, index): (&ConeTable, &ConeIndex),
         landing: &Landing,
         experiment: &Experiment,
     ) -> Result<Self, String> {
-        let Inputs { primaries, retina, .. } = inputs;
-        let kernels = &primaries.kernels;
+        let Inputs { retina, projection, .. } = inputs;
         let spec = kernels.spec();
         let absorbers = spec.absorbers()?;
-        let shares = spec.shares();
+        let shares = kernels.shares();
         let [ecc_from, ecc_to] = spec.ecc_deg;
         let ecc = |step: usize| ecc_from + (ecc_to - ecc_from) * step as f64 / ECC_STEPS as f64;
         let waves = spec.nodes_nm.len();
@@ -164,7 +165,7 @@ impl Tables {
         let of_node = |shares: &[Share], node: usize| {
             Wavelengths::new(&absorbers, shares, (&spec.nodes_nm, node), ecc, kernels.paths())
         };
-        let wavelengths = if listed { table(&shares, waves, of_node) } else { Vec::new() };
+        let wavelengths = if listed { table(shares, waves, of_node) } else { Vec::new() };
 
         // Nodes evenly over the retina that the window is imaged on and the cones lie on.
         let [from, to] = landing.bounds();
@@ -174,7 +175,7 @@ impl Tables {
         let side = [0, 1].map(|axis| ((max[axis] - min[axis]).max(0.0) / finest).ceil() as usize + 1);
         let step_um =
             DVec2::from_array([0, 1].map(|axis| (max[axis] - min[axis]) / (side[axis] - 1).max(1) as f64));
-        let nodes = trace(inputs, (min, step_um, side), index.per_um())?;
+        let nodes = trace(projection, spec, (min, step_um, side), index.per_um())?;
         let accepted = nodes.iter().flat_map(|n| &n.spreads).map(|s| s.accepted).fold(0.0, f64::max);
         let most_of = |weights: &Weights| {
             let caught = weights.iter().flat_map(|kinds| &kinds[..ARRIVING]).copied().fold(0.0, f32::max);
@@ -363,13 +364,11 @@ fn table<T: Send>(
 
 /// By wavelength the nodes of a grid: its first one, steps, and number along each side.
 fn trace(
-    inputs: &Inputs,
+    projection: &Projection,
+    spec: &KernelSpec,
     (first_um, step_um, side): (DVec2, DVec2, [usize; 2]),
     bins_per_um: f64,
 ) -> Result<Vec<Nodes>, String> {
-    let Inputs { primaries, projection, .. } = inputs;
-    let kernels = &primaries.kernels;
-    let spec = kernels.spec();
     let points: Vec<FieldPoint> = (0..side[0] * side[1])
         .map(|node| {
             let place = DVec2::new((node % side[0]) as f64, (node / side[0]) as f64);
