@@ -290,18 +290,32 @@ impl Display {
     /// The same for pixels of a row, `rgb[3·pixel + channel]`, the first of them at `place`.
     pub fn light_row(&self, channel: Channel, rgb: &[f32], place: Place, light: &mut [f64]) {
         let pixels = light.iter_mut().zip(rgb.chunks_exact(3));
-        let (Levels::Continuous, Some(i)) = (self.panel.levels, channel.index()) else {
+        if self.panel.levels != Levels::Continuous || channel == Channel::Room {
             for ((light, rgb), column) in pixels.zip(place.column..) {
                 *light = self.light(channel, rgb, Place { column, ..place });
             }
             return;
-        };
+        }
         let (black, white) = (self.black, 1.0 - self.black);
         let steps = self.transfer.steps();
-        let values: Vec<f32> = rgb.chunks_exact(3).take(light.len()).map(|rgb| rgb[i]).collect();
-        if !look_up(steps, &values, light) {
-            for (light, value) in light.iter_mut().zip(&values) {
-                *light = self.transfer.light_of_pixel(steps, *value);
+        let one = |i: usize, light: &mut [f64]| {
+            let values: Vec<f32> = rgb.chunks_exact(3).take(light.len()).map(|rgb| rgb[i]).collect();
+            if !look_up(steps, &values, light) {
+                for (light, value) in light.iter_mut().zip(&values) {
+                    *light = self.transfer.light_of_pixel(steps, *value);
+                }
+            }
+        };
+        match channel.index() {
+            Some(i) => one(i, light),
+            None => {
+                let [mut green, mut blue] = [vec![0.0; light.len()], vec![0.0; light.len()]];
+                one(0, light);
+                one(1, &mut green);
+                one(2, &mut blue);
+                for ((light, green), blue) in light.iter_mut().zip(green).zip(blue) {
+                    *light = (*light + green + blue) / 3.0;
+                }
             }
         }
         for light in light {

@@ -7,7 +7,7 @@ use super::source::Projector;
 use crate::display::Emitter;
 
 /// Error of the basis that is chosen anew over that of the kernels.
-pub const BASIS_SHARE: f64 = 0.5;
+pub const BASIS_SHARE: f64 = 0.25;
 
 /// Kernels and light, by primary.
 #[derive(Clone, Debug)]

@@ -162,7 +162,7 @@ fn audit_seconds(experiment: &Experiment, tiles: &[PlannedTile]) -> f64 {
     let spreads = (range / 7.0 + 1.0).min(nodes.len() as f64 * 1.5);
     let pupil = (experiment.eye.pupil_mm / 3.0).max(0.7);
     let side = (0.6 + 0.4 * pupil.powi(4)).min(4.0);
-    let one = (spreads + 12.0) * SECONDS_PER_TRACE + spreads * SECONDS_PER_AUDITED_SPREAD * side.powi(2);
+    let one = (spreads + 20.0) * SECONDS_PER_TRACE + spreads * SECONDS_PER_AUDITED_SPREAD * side.powi(2);
     f64::from(experiment.audit_cones) * one
 }
 

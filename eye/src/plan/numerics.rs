@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Rule;
-use crate::experiment::{Experiment, RangeError, check_range};
+use crate::experiment::{Experiment, Pattern, RangeError, Video, check_range};
 
 /// Settings fixed by hand; those that are not given follow from the accuracy target.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -78,6 +78,9 @@ const WAVELENGTH_TAIL: f64 = 0.01;
 /// Error of the low-rank basis in its own norm, per accuracy target. At 1e-3 (squares of one pixel, one lit pixel): 0.1 leaves an L1 of
 /// 1.0e-4 and 2.3e-4 with 16 images, 0.6 5.3e-4 and 3.9e-4 with 12, 1.0 6.1e-4 and 1.4e-3 with 10. With more points of the field 0.6 left up to 2e-3 of one lit pixel, 0.45 4e-4.
 const BASIS_SHARE: f64 = 0.45;
+/// The same for one lit pixel: the basis' error is a mean over places, and the light is at one of them. At 1e-3 on 6 x 6 to 60 x 60 pixels 0.45
+/// leaves 1.0e-3 to 1.5e-3, 0.2 4e-4 to 7e-4 (60 x 60: 1.1e-3).
+const BASIS_SHARE_OF_A_POINT: f64 = 0.2;
 /// Catch of a type of cone that is not computed, per accuracy target.
 pub const BLIND: f64 = 1e-3;
 /// Largest pupil up to which coarse targets take wavelengths every 20 nm and usual ones every 15 nm: at 3 mm 20 nm cost 2e-4 to 4e-4 in one lit
@@ -99,6 +102,8 @@ impl Numerics {
         let rough = target >= 0.03;
         // Chromatic defocus changes the spread faster with wavelength behind a large pupil.
         let small = experiment.eye.pupil_mm <= COARSE_STEP_PUPIL_MM;
+        let point = matches!(experiment.video, Video::Pattern(Pattern::Point { .. }));
+        let basis_share = if point { BASIS_SHARE_OF_A_POINT } else { BASIS_SHARE };
         Self {
             wavelength_step_nm: experiment.counts.wavelength_step_nm.unwrap_or(if coarse && small {
                 20.0
@@ -110,7 +115,7 @@ impl Numerics {
                 5.0
             }),
             wavelength_tail: WAVELENGTH_TAIL * target,
-            basis_tolerance: knobs.basis_tolerance.unwrap_or(BASIS_SHARE * target),
+            basis_tolerance: knobs.basis_tolerance.unwrap_or(basis_share * target),
             band_loss: knobs.band_loss.unwrap_or(LOSS * target),
             // Light of the copies that comes from farther is taken away by the law of the spread's tail.
             guard_um: knobs.guard_um.unwrap_or(if coarse {

@@ -18,8 +18,6 @@ pub enum Rule {
     Eccentricities,
     /// Primaries that no picture lights.
     UnlitPrimaries,
-    /// Primaries that show the same.
-    JoinedPrimaries,
     /// Frames that show the same as the first.
     RepeatedFrames,
     /// Frames and tiles without light.
@@ -30,6 +28,8 @@ pub enum Rule {
     CoarseGrids,
     /// Pointing errors of cones that change less than the target.
     Pointing,
+    /// Single primaries where gray pictures have several shine together.
+    JoinedPrimaries,
 }
 
 impl Rule {
@@ -41,12 +41,12 @@ impl Rule {
         Self::StillEye,
         Self::Eccentricities,
         Self::UnlitPrimaries,
-        Self::JoinedPrimaries,
         Self::RepeatedFrames,
         Self::DarkTiles,
         Self::BlindTypes,
         Self::CoarseGrids,
         Self::Pointing,
+        Self::JoinedPrimaries,
     ];
 
     /// Whether an experiment lets it be made.

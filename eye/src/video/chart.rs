@@ -86,6 +86,13 @@ impl<'a> Layout<'a> {
         let Some(placed) = self.rows.iter().find(near) else {
             return 0.0;
         };
+        // Beside all letters, or between two: nothing to look at.
+        let [left, right] = [0.0, 1.0].map(|x| (f64::from(column) + x - placed.corner.x) / placed.stroke_px);
+        let begins = 10.0 * (left / 10.0).floor();
+        let between = left - begins >= 5.0 && right <= begins + 10.0;
+        if right <= 0.0 || left >= 10.0 * placed.letters.len() as f64 || between {
+            return 0.0;
+        }
         let mut inked = 0;
         for i in 0..SAMPLES * SAMPLES {
             let part =
