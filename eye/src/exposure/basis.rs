@@ -2,6 +2,7 @@
 
 use glam::DVec2;
 use rayon::prelude::*;
+#[cfg(test)]
 use rustfft::num_complex::Complex64;
 
 use super::grid::{Band, Run};
@@ -35,9 +36,7 @@ impl BasisTable {
                 .collect();
             let mut values = Vec::with_capacity(2 * images * primaries * run.len);
             for (image, primary) in (0..images).flat_map(|image| (0..primaries).map(move |p| (image, p))) {
-                let table = kernels.table(kind, image, primary);
-                let value = |s: &Option<_>| s.as_ref().map_or(Complex64::ZERO, |s| shape.read(table, s));
-                let kernel: Vec<Complex64> = stencils.iter().map(value).collect();
+                let kernel = shape.read_all(kernels.table(kind, image, primary), &stencils);
                 values.extend(kernel.iter().map(|z| z.re as f32));
                 values.extend(kernel.iter().map(|z| z.im as f32));
             }

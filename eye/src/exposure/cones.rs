@@ -105,8 +105,7 @@ pub fn slant_factor(law: EmissionLaw, projection: &Projection, tangent: DVec2) -
         EmissionLaw::Lambertian => cos2 * cos2.sqrt(),
         EmissionLaw::Uniform => cos2,
     };
-    let slant = |t: DVec2| projection.object(t).cos_angle();
-    emission * slant(tangent) / slant(DVec2::ZERO)
+    emission * projection.cos_angle(tangent) / projection.cos_angle(DVec2::ZERO)
 }
 
 impl ConeTable {

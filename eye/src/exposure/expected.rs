@@ -84,21 +84,19 @@ impl Expected {
         let basis = BasisTable::new(&scene, kernels, &band, 0);
         let arriving = BasisTable::new(&scene, kernels, &band, ARRIVING);
         let stencils = Stencils::new(&scene, &spread, cones);
-        let received: Vec<Vec<f64>> = (cones.cones.par_iter())
-            .map(|c| {
-                kernels
-                    .coefficients(ARRIVING, c.um, c.ecc_deg)
-                    .into_iter()
-                    .map(|own| own * c.geometry)
-                    .collect()
-            })
-            .collect();
+        let places: Vec<Vec<f64>> =
+            cones.cones.par_iter().map(|c| kernels.weights(c.um, c.ecc_deg)).collect();
+        let receives = |(c, place): (&MappedCone, &Vec<f64>)| {
+            let own = kernels.coefficients_at(ARRIVING, place);
+            own.into_iter().map(|own| own * c.geometry).collect()
+        };
+        let received: Vec<Vec<f64>> = cones.cones.par_iter().zip(&places).map(receives).collect();
         let sum = |weight: &dyn Fn(&MappedCone) -> f64| {
             let weights: Vec<f64> = cones.cones.iter().map(weight).collect();
             ConeSum::new(&arriving, &received, &weights, &stencils, &band, scene.samples)
         };
         let (arrived, guided) = (sum(&|_| 1.0), sum(&|c| c.pointing));
-        let coefficients = coefficients(kernels, seeing, cones);
+        let coefficients = coefficients(kernels, seeing, cones, &places);
         let transforms = if settings.single {
             Precision::Single(Transforms::new(scene.samples))
         } else {
@@ -134,17 +132,23 @@ impl Expected {
 }
 
 /// By sheet: coefficients of the cones' images, `[cone][image]`.
-fn coefficients(kernels: &Kernels, seeing: [bool; ARRIVING], cones: &ConeTable) -> Vec<Vec<f32>> {
+fn coefficients(
+    kernels: &Kernels,
+    seeing: [bool; ARRIVING],
+    cones: &ConeTable,
+    places: &[Vec<f64>],
+) -> Vec<Vec<f32>> {
     let rank = kernels.rank(0);
     let of_sheet = |first: usize| {
         let images = 4 * fours(rank, first);
-        let mut coefficients = vec![0.0; images * cones.cones.len()];
-        coefficients.par_chunks_mut(images).zip(&cones.cones).for_each(|(places, cone)| {
+        let mut coefficients = vec![0.0; images * places.len()];
+        let cones = cones.cones.par_iter().zip(places);
+        coefficients.par_chunks_mut(images).zip(cones).for_each(|(own_images, (cone, place))| {
             let kind = cone.cone_type as usize;
             if seeing[kind] {
                 let factor = cone.geometry * cone.pointing;
-                let own = kernels.coefficients(kind, cone.um, cone.ecc_deg);
-                places.iter_mut().zip(&own[first..]).for_each(|(place, own)| *place = (own * factor) as f32);
+                let own = kernels.coefficients_at(kind, place);
+                own_images.iter_mut().zip(&own[first..]).for_each(|(to, own)| *to = (own * factor) as f32);
             }
         });
         coefficients

@@ -12,7 +12,10 @@ use super::cones::{ConeTable, MappedCone};
 use super::grid::Real;
 use super::images::{SHEET, Sheet, Span};
 use super::scene::Scene;
-use super::spread::{COLUMNS, Spread, SpreadTable, polygon_nodes};
+use super::spread::{COLUMNS, Spread, SpreadTable, Stencil, polygon_nodes};
+
+/// Cones whose weights are made together.
+const CONES: usize = 1024;
 
 /// The weights of all cones on the grid.
 #[derive(Default)]
@@ -23,30 +26,28 @@ pub struct Stencils {
     spans: [Span; 2],
 }
 
-#[derive(Clone, Copy)]
-struct Stencil {
-    first: [u32; 2],
-    size: [u32; 2],
-    offset: usize,
-}
-
 impl Stencils {
     /// The weights of a scene's cones.
     pub fn new(scene: &Scene, spread: &Spread, cones: &ConeTable) -> Self {
         let per_px = scene.samples_per_px();
         let spread = SpreadTable::new(spread);
-        let weights_of = |cone: &MappedCone| {
-            // Positions in samples, areas in pixels.
-            let nodes: Vec<_> =
-                polygon_nodes(&cone.polygon_px).into_iter().map(|(p, w)| (p * per_px, w)).collect();
-            spread.weights(&nodes, scene.samples)
+        let weights_of = |cones: &[MappedCone]| {
+            let mut weights = Vec::new();
+            let of_cone = |cone: &MappedCone| {
+                let mut nodes = polygon_nodes(&cone.polygon_px);
+                // Positions in samples, areas in pixels.
+                nodes.iter_mut().for_each(|(place, _)| *place *= per_px);
+                spread.weights(&nodes, scene.samples, &mut weights)
+            };
+            (cones.iter().map(of_cone).collect::<Vec<Stencil>>(), weights)
         };
-        let gathered: Vec<_> = cones.cones.par_iter().map(weights_of).collect();
+        let gathered: Vec<_> = cones.cones.par_chunks(CONES).map(weights_of).collect();
         let mut all = Self::default();
-        for cone in gathered {
-            let offset = all.weights.len();
-            all.weights.extend(cone.values);
-            all.cones.push(Stencil { first: cone.first, size: cone.size, offset });
+        all.weights.reserve_exact(gathered.iter().map(|(_, weights)| weights.len()).sum());
+        for (cones, weights) in gathered {
+            let before = all.weights.len();
+            all.cones.extend(cones.iter().map(|cone| Stencil { offset: before + cone.offset, ..*cone }));
+            all.weights.extend_from_slice(&weights);
         }
         all.spans = [0, 1].map(|axis| {
             let run = |stencil: &Stencil| (stencil.first[axis] as usize, stencil.size[axis] as usize);
@@ -76,8 +77,12 @@ impl Stencils {
         let ([first_x, first_y], [nx, _], weights) = self.of(cone);
         for (dy, line) in weights.chunks_exact(nx.max(1)).enumerate() {
             let row = &mut grid[((first_y + dy) % rows) * columns..][..columns];
-            for (dx, weight) in line.iter().enumerate() {
-                row[(first_x + dx) % columns] += factor * f64::from(*weight);
+            let (inside, around) = line.split_at(line.len().min(columns - first_x));
+            for (sum, weight) in row[first_x..].iter_mut().zip(inside) {
+                *sum += factor * f64::from(*weight);
+            }
+            for (sum, weight) in row.iter_mut().zip(around) {
+                *sum += factor * f64::from(*weight);
             }
         }
     }

@@ -133,7 +133,10 @@ impl Band {
         let (most_x, most_y) = (limit(px, samples[0]), limit(py, samples[1]));
         let mut band = Self::default();
         for x in -most_x..=most_x {
-            let inside = |y: &i32| (f64::from(x) / px).hypot(f64::from(*y) / py) <= cycles_per_px;
+            let inside = |y: &i32| {
+                let (along_x, along_y) = (f64::from(x) / px, f64::from(*y) / py);
+                along_x * along_x + along_y * along_y <= cycles_per_px * cycles_per_px
+            };
             let y = i32::from(x < 0);
             let len = (y..=most_y).take_while(inside).count();
             if len > 0 {

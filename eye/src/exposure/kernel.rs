@@ -156,6 +156,8 @@ impl Place {
 pub struct Kernels {
     head: Head,
     field: FieldNodes,
+    /// Nodes of the eccentricity, degrees.
+    ecc_deg: Vec<f64>,
     /// By primary, of which the tables are.
     shares: Vec<Vec<Share>>,
     /// `[basis][r][primary][sample]`.
@@ -253,6 +255,7 @@ impl KernelSpec {
                 paths: self.mean_paths(&paths),
             },
             field: self.field(),
+            ecc_deg: self.ecc_values(),
             shares: self.shares(),
             tables,
         })
@@ -466,14 +469,20 @@ impl Kernels {
 
     /// Coefficients `[r]` of a kind's basis at a place of the retina (µm) with a visual eccentricity (degrees).
     pub fn coefficients(&self, kind: usize, um: DVec2, ecc_deg: f64) -> Vec<f64> {
-        let at_field = self.field.weights(um);
-        let at_e = nodes::lagrange(&self.head.spec.ecc_values(), ecc_deg);
+        self.coefficients_at(kind, &self.weights(um, ecc_deg))
+    }
+
+    /// Weights of the kernels' places at a place of the retina (µm) with a visual eccentricity (degrees), the same for every kind.
+    pub fn weights(&self, um: DVec2, ecc_deg: f64) -> Vec<f64> {
+        let at_e = nodes::lagrange(&self.ecc_deg, ecc_deg);
+        self.field.weights(um).iter().flat_map(|wf| at_e.iter().map(move |we| wf * we)).collect()
+    }
+
+    /// Coefficients `[r]` of a kind's basis for [`Kernels::weights`].
+    pub fn coefficients_at(&self, kind: usize, weights: &[f64]) -> Vec<f64> {
         let mut sum = vec![0.0; self.rank(kind)];
-        let from_basis = &self.head.kinds[kind].from_basis;
-        for (wf, rows) in at_field.iter().zip(from_basis.chunks_exact(at_e.len().max(1))) {
-            for (we, row) in at_e.iter().zip(rows) {
-                sum.iter_mut().zip(row).for_each(|(s, u)| *s += wf * we * u);
-            }
+        for (weight, row) in weights.iter().zip(&self.head.kinds[kind].from_basis) {
+            sum.iter_mut().zip(row).for_each(|(s, u)| *s += weight * u);
         }
         sum
     }
@@ -511,6 +520,7 @@ impl Kernels {
         let mut next = || parts.next().map(<[Complex64]>::to_vec).unwrap_or_default();
         let tables =
             head.ranks.map(|rank| (0..rank).map(|_| (0..primaries).map(|_| next()).collect()).collect());
-        Ok(Self { field: head.spec.field(), shares: head.spec.shares(), head, tables })
+        let (field, ecc_deg, shares) = (head.spec.field(), head.spec.ecc_values(), head.spec.shares());
+        Ok(Self { field, ecc_deg, shares, head, tables })
     }
 }

@@ -5,6 +5,7 @@
 //! never crosses 0, where the modulus has a cusp.
 
 use glam::DVec2;
+use multiversion::multiversion;
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
@@ -92,16 +93,37 @@ impl PolarShape {
         })
     }
 
+    /// The values of a table at stencils; 0 beyond the radius.
+    pub fn read_all(&self, table: &[Complex64], stencils: &[Option<Stencil>]) -> Vec<Complex64> {
+        let mut values = vec![Complex64::ZERO; stencils.len()];
+        read_all(self, table, stencils, &mut values);
+        values
+    }
+
     /// The value of a table at a stencil.
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // in the caller's vector code only when inlined
     pub fn read(&self, table: &[Complex64], stencil: &Stencil) -> Complex64 {
         let mut sum = Complex64::ZERO;
         for ((column, sign), weight) in stencil.columns.iter().zip(stencil.column_weights) {
             let start = column * self.radial + stencil.first_row;
             let line = &table[start..start + POINTS];
-            let inner: Complex64 = line.iter().zip(stencil.row_weights).map(|(z, w)| w * z).sum();
+            let mut inner = Complex64::ZERO;
+            for (z, weight) in line.iter().zip(&stencil.row_weights) {
+                inner += z * weight;
+            }
             sum += weight * Complex64::new(inner.re, sign * inner.im);
         }
         sum
+    }
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn read_all(shape: &PolarShape, table: &[Complex64], stencils: &[Option<Stencil>], values: &mut [Complex64]) {
+    for (value, stencil) in values.iter_mut().zip(stencils) {
+        if let Some(stencil) = stencil {
+            *value = shape.read(table, stencil);
+        }
     }
 }
 

@@ -7,6 +7,7 @@
 //! rule of degree 5 (Radon 1948).
 
 use glam::DVec2;
+use multiversion::multiversion;
 
 /// Columns that are summed at a time.
 pub const COLUMNS: usize = 2;
@@ -19,15 +20,15 @@ pub struct Spread {
     beta: f64,
 }
 
-/// The weights of one cone on the grid.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ConeWeights {
+/// Where the weights of one cone are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stencil {
     /// First column and row, inside the grid; the stencil wraps around its edges.
     pub first: [u32; 2],
     /// Columns (a multiple of [`COLUMNS`], the last ones with weights of 0) and rows.
     pub size: [u32; 2],
-    /// `[row][column]`.
-    pub values: Vec<f32>,
+    /// Place of the first weight, `[row][column]`, among those of all cones.
+    pub offset: usize,
 }
 
 /// A point of a polygon's quadrature: position and weight (area).
@@ -52,12 +53,12 @@ impl Spread {
         const NODES: usize = 200;
         let half = self.width as f64 / 2.0;
         let step = std::f64::consts::PI / NODES as f64;
-        (0..NODES)
+        // Both halves are the same.
+        (0..NODES / 2)
             .map(|i| {
-                let angle = (i as f64 + 0.5) * step - std::f64::consts::FRAC_PI_2;
-                let (z, root) = angle.sin_cos();
+                let (z, root) = ((i as f64 + 0.5) * step).sin_cos();
                 let phase = std::f64::consts::TAU * cycles_per_sample * half * z;
-                (self.beta * (root - 1.0)).exp() * phase.cos() * root * half * step
+                2.0 * (self.beta * (root - 1.0)).exp() * phase.cos() * root * half * step
             })
             .sum()
     }
@@ -76,6 +77,8 @@ pub struct SpreadTable {
 const STEPS: usize = 1024;
 /// Numbers that are added up side by side.
 const LANES: usize = 4;
+/// Most samples that a kernel reaches.
+const MOST: usize = 16;
 
 impl SpreadTable {
     /// Of a kernel.
@@ -90,6 +93,8 @@ impl SpreadTable {
     }
 
     /// The first sample within reach of a place, and the kernel there and at the next ones, times a factor.
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // in the caller's vector code only when inlined
     fn read(&self, at: f64, factor: f64, values: &mut [f64]) -> f64 {
         let edge = at - 0.5 * self.width as f64;
         let first = edge.ceil();
@@ -106,8 +111,8 @@ impl SpreadTable {
         first
     }
 
-    /// The weights of quadrature nodes given in samples, on a grid of `grid` columns and rows.
-    pub fn weights(&self, nodes: &[Node], grid: [usize; 2]) -> ConeWeights {
+    /// The weights of quadrature nodes given in samples, on a grid of `grid` columns and rows, put behind those before.
+    pub fn weights(&self, nodes: &[Node], grid: [usize; 2], values: &mut Vec<f32>) -> Stencil {
         let (mut min, mut max) = (DVec2::MAX, DVec2::MIN);
         for (at, _) in nodes {
             (min, max) = (min.min(*at), max.max(*at));
@@ -119,26 +124,35 @@ impl SpreadTable {
         // Whole lanes go on behind the last sample with zeros.
         let line = columns + self.reached;
         let mut sums = vec![0.0; line * rows];
-        let (mut across, mut down) = (vec![0.0; self.reached], vec![0.0; self.reached]);
-        for (at, area) in nodes {
-            let left = (self.read(at.x, *area, &mut across) - first.x) as usize;
-            let top = (self.read(at.y, 1.0, &mut down) - first.y) as usize;
-            for (row, factor) in down[..self.width].iter().enumerate() {
-                let sums = &mut sums[(top + row) * line + left..][..self.reached];
-                let sums = sums.as_chunks_mut::<LANES>().0.iter_mut();
-                for (sum, value) in sums.zip(across.as_chunks::<LANES>().0) {
-                    for lane in 0..LANES {
-                        sum[lane] += factor * value[lane];
-                    }
-                }
-            }
+        add_up(self, nodes, first, line, &mut sums);
+        let offset = values.len();
+        for line in sums.chunks_exact(line.max(1)) {
+            values.extend(line[..columns].iter().map(|v| *v as f32));
         }
         let wrap = |value: f64, samples: usize| (value as i64).rem_euclid(samples as i64) as u32;
-        let values = sums.chunks_exact(line.max(1)).take(rows);
-        ConeWeights {
-            first: [wrap(first.x, grid[0]), wrap(first.y, grid[1])],
-            size: [columns as u32, rows as u32],
-            values: values.flat_map(|line| line[..columns].iter().map(|v| *v as f32)).collect(),
+        let first = [wrap(first.x, grid[0]), wrap(first.y, grid[1])];
+        Stencil { first, size: [columns as u32, rows as u32], offset }
+    }
+}
+
+/// Adds the kernel at all nodes to lines of samples, the first of which stands at `first`.
+#[multiversion(targets("x86_64+avx2"))]
+fn add_up(table: &SpreadTable, nodes: &[Node], first: DVec2, line: usize, sums: &mut [f64]) {
+    let reached = table.reached;
+    let mut values = [0.0; 2 * MOST];
+    let (across, down) = values.split_at_mut(MOST);
+    let (across, down) = (&mut across[..reached], &mut down[..reached]);
+    for (at, area) in nodes {
+        let left = (table.read(at.x, *area, across) - first.x) as usize;
+        let top = (table.read(at.y, 1.0, down) - first.y) as usize;
+        for (row, factor) in down[..table.width].iter().enumerate() {
+            let sums = &mut sums[(top + row) * line + left..][..reached];
+            let sums = sums.as_chunks_mut::<LANES>().0.iter_mut();
+            for (sum, value) in sums.zip(across.as_chunks::<LANES>().0) {
+                for lane in 0..LANES {
+                    sum[lane] += factor * value[lane];
+                }
+            }
         }
     }
 }
@@ -197,11 +211,13 @@ mod tests {
             let square =
                 [DVec2::new(-1.0, -1.0), DVec2::new(1.0, -1.0), DVec2::new(1.0, 1.0), DVec2::new(-1.0, 1.0)]
                     .map(|c| centre + half * c);
-            let weights = SpreadTable::new(&spread).weights(&polygon_nodes(&square), [samples; 2]);
+            let mut weights = Vec::new();
+            let table = SpreadTable::new(&spread);
+            let stencil = table.weights(&polygon_nodes(&square), [samples; 2], &mut weights);
             let mut sum = 0.0;
-            for (i, w) in weights.values.iter().enumerate() {
-                let column = (weights.first[0] as usize + i % weights.size[0] as usize) % samples;
-                let row = (weights.first[1] as usize + i / weights.size[0] as usize) % samples;
+            for (i, w) in weights.iter().enumerate() {
+                let column = (stencil.first[0] as usize + i % stencil.size[0] as usize) % samples;
+                let row = (stencil.first[1] as usize + i / stencil.size[0] as usize) % samples;
                 sum += f64::from(*w) * image[row * samples + column];
             }
             let sinc = |n: f64| (std::f64::consts::TAU * n * half).sin() / (std::f64::consts::PI * n);

@@ -54,6 +54,12 @@ impl Projection {
         Object::from_parts((forward - t.x * right - t.y * up) / slant, 1.0 / (self.distance_mm * slant))
     }
 
+    /// Cosine of the angle between the eye's axis and the way to the point at `t` of the screen.
+    pub fn cos_angle(&self, t: DVec2) -> f64 {
+        let [right, up, forward] = self.axes;
+        (forward.z - t.x * right.z - t.y * up.z) / (1.0 + t.length_squared()).sqrt()
+    }
+
     /// Where the chief ray from `t` lands: (x_um, y_um).
     ///
     /// # Errors
