@@ -306,16 +306,15 @@ impl Display {
                 }
             }
         };
-        match channel.index() {
-            Some(i) => one(i, light),
-            None => {
-                let [mut green, mut blue] = [vec![0.0; light.len()], vec![0.0; light.len()]];
-                one(0, light);
-                one(1, &mut green);
-                one(2, &mut blue);
-                for ((light, green), blue) in light.iter_mut().zip(green).zip(blue) {
-                    *light = (*light + green + blue) / 3.0;
-                }
+        if let Some(i) = channel.index() {
+            one(i, light);
+        } else {
+            let [mut green, mut blue] = [vec![0.0; light.len()], vec![0.0; light.len()]];
+            one(0, light);
+            one(1, &mut green);
+            one(2, &mut blue);
+            for ((light, green), blue) in light.iter_mut().zip(green).zip(blue) {
+                *light = (*light + green + blue) / 3.0;
             }
         }
         for light in light {

@@ -36,7 +36,9 @@ impl Stencils {
             let of_cone = |cone: &MappedCone| {
                 let mut nodes = polygon_nodes(&cone.polygon_px);
                 // Positions in samples, areas in pixels.
-                nodes.iter_mut().for_each(|(place, _)| *place *= per_px);
+                for (place, _) in &mut nodes {
+                    *place *= per_px;
+                }
                 spread.weights(&nodes, scene.samples, &mut weights)
             };
             (cones.iter().map(of_cone).collect::<Vec<Stencil>>(), weights)

@@ -521,6 +521,6 @@ impl Kernels {
         let tables =
             head.ranks.map(|rank| (0..rank).map(|_| (0..primaries).map(|_| next()).collect()).collect());
         let (field, ecc_deg, shares) = (head.spec.field(), head.spec.ecc_values(), head.spec.shares());
-        Ok(Self { field, ecc_deg, shares, head, tables })
+        Ok(Self { head, field, ecc_deg, shares, tables })
     }
 }
