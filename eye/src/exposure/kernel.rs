@@ -343,19 +343,6 @@ impl KernelSpec {
     }
 }
 
-/// Shares with those of the same wavelength added up, by wavelength.
-fn summed(mut shares: Vec<Share>) -> Vec<Share> {
-    shares.sort_by(|a, b| a.0.total_cmp(&b.0));
-    shares.dedup_by(|next, sum| {
-        let same = next.0.total_cmp(&sum.0).is_eq();
-        if same {
-            sum.1 += next.1;
-        }
-        same
-    });
-    shares
-}
-
 /// Weights of the samples in the basis: `dν/ν` times the aperture's transform squared, and the mean.
 ///
 /// An error of the kernel at frequencies about ν spreads over an area of 1/ν². Its share of the light over the whole image (L1) is the
@@ -385,19 +372,14 @@ impl Kernels {
         &self.shares
     }
 
-    /// The kernels of primaries that shine together, one a group: those of a mixture of their light. What L, M and S see of it differs less than
-    /// what they see of each: a smaller basis does, which leaves a relative error of `tolerance` more.
+    /// The kernels of primaries that shine together, one a group: those of a mixture of their light, whose photons have these `shares` by
+    /// wavelength. What L, M and S see of it differs less than what they see of each: a smaller basis does, which leaves a relative error of
+    /// `tolerance` more.
     #[must_use]
-    pub fn together(&self, groups: &[Group], tolerance: f64) -> Self {
-        let shares = groups.iter().map(|group| {
-            let own = group.iter().flat_map(|&(primary, part)| {
-                self.shares[primary].iter().map(move |(nm, share)| (*nm, part * share))
-            });
-            summed(own.collect())
-        });
+    pub fn together(&self, groups: &[Group], shares: Vec<Vec<Share>>, tolerance: f64) -> Self {
         let samples = self.head.shape.len();
         let weights = basis_weights(self.head.shape, groups.len());
-        let mut made = Self { shares: shares.collect(), ..self.clone() };
+        let mut made = Self { shares, ..self.clone() };
         for (basis, tables) in self.tables.iter().enumerate() {
             let mixed = |by_primary: &Vec<Vec<Complex64>>| -> Vec<Complex64> {
                 let mut kernel = vec![Complex64::ZERO; groups.len() * samples];

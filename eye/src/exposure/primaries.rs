@@ -43,6 +43,12 @@ impl Primaries {
             let others: Vec<&Emitter> = group[1..].iter().map(|&number| &emitters[number]).collect();
             emitters[group[0]].together(&others)
         };
+        let joined: Vec<Emitter> = groups.iter().map(one).collect();
+        let spectrum = |emitter: &Emitter| {
+            let all = emitter.emitted().max(f64::MIN_POSITIVE);
+            emitter.photons.iter().map(|p| (p.nm, p.emitted / all)).collect()
+        };
+        let spectra = joined.iter().map(spectrum).collect();
         let shares = |group: &Vec<usize>| -> Group {
             let of = |&number: &usize| emitters[number].emitted();
             let all: f64 = group.iter().map(of).sum();
@@ -51,9 +57,9 @@ impl Primaries {
         };
         let by_group: Vec<Group> = groups.iter().map(shares).collect();
         Some(Self {
-            kernels: self.kernels.together(&by_group, tolerance),
+            kernels: self.kernels.together(&by_group, spectra, tolerance),
             projector: Projector {
-                emitters: groups.iter().map(one).collect(),
+                emitters: joined,
                 first_shown: FirstShown::default(),
                 ..self.projector.clone()
             },
