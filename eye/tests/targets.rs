@@ -8,6 +8,22 @@ use photoneye_eye::experiment::Pattern;
 use photoneye_eye::plan::{PlanError, plan};
 use support::figure_12;
 
+/// Where a fine target is kept, so are all coarser ones.
+#[test]
+fn coarser_targets_are_kept_too() {
+    for pattern in [Pattern::Checkerboard { square_px: 1 }, Pattern::Point { at_px: [15, 15], rgb: [1.0; 3] }]
+    {
+        let mut experiment = figure_12(pattern);
+        for target in
+            [2e-5, 4.9e-5, 5.1e-5, 2e-4, 4.9e-4, 5.1e-4, 6e-4, 7.9e-4, 8e-4, 1e-3, 5e-3, 9.9e-3, 0.01, 0.1]
+        {
+            experiment.accuracy_target = target;
+            let estimate: f64 = plan(&experiment).unwrap().error_estimate.iter().map(|p| p.relative).sum();
+            assert!(estimate <= target, "{estimate:e} {target:e}");
+        }
+    }
+}
+
 #[test]
 fn what_is_refused_comes_with_what_is_possible() {
     let mut experiment = figure_12(Pattern::Checkerboard { square_px: 1 });
