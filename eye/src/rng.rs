@@ -110,11 +110,19 @@ impl Stream {
     }
 }
 
-/// 64 well mixed bits of a key and a counter (the finalizer of SplitMix64, Steele et al. 2014): cheap random numbers where a stream would
-/// cost more than what it is for. The key must itself be unique.
+/// Distance of the arguments of [`finalized`] for neighbouring counters.
+pub const COUNT: u64 = 0x9E37_79B9_7F4A_7C15;
+
+/// 64 well mixed bits of a key and a counter (SplitMix64, Steele et al. 2014): cheap random numbers where a stream would cost more than
+/// what it is for. The key must itself be unique.
 #[inline]
 pub fn mixed(key: u64, counter: u64) -> u64 {
-    let mut z = key.wrapping_add(counter.wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+    finalized(key.wrapping_add(counter.wrapping_add(1).wrapping_mul(COUNT)))
+}
+
+/// The finalizer of [`mixed`].
+#[inline(always)]
+pub fn finalized(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
     z ^ (z >> 31)

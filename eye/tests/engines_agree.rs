@@ -117,6 +117,8 @@ fn with_the_papers_settings_the_difference_is_its_own_error() {
 fn against_means(experiment: &Experiment, frames: u32, least: f64) -> (f64, f64) {
     let mut experiment = experiment.clone();
     experiment.counts.poisson = false;
+    // That of `events`: the path through the eye is a mean over wavelengths.
+    experiment.counts.wavelength_step_nm = Some(10.0);
     let (means, budget) = sums(&experiment, frames);
     experiment.counts.engine = Engine::Events;
     experiment.counts.poisson = true;
@@ -165,6 +167,34 @@ fn events_are_the_same_distribution_as_means() {
         assert!(n > 1000.0);
         assert!((chi2 - 1.0).abs() < 5.0 * ((2.0 + 1.0 / least) / n).sqrt() + 0.02, "chi²/n {chi2}");
     }
+}
+
+/// The means from which events are drawn keep the default target, 1e-3, against means good to 1e-4. Counts over many frames are off by them
+/// and by chance, whose parts of the L1 add by squares; five standard deviations of the square of chance's (alpha 3e-7).
+#[test]
+fn events_keep_the_target_on_average() {
+    const FRAMES: u32 = 100;
+    let mut experiment = figure_12(Pattern::Checkerboard { square_px: 3 });
+    experiment.accuracy_target = 1e-4;
+    experiment.counts.poisson = false;
+    let (means, _) = sums(&experiment, FRAMES);
+    experiment.accuracy_target = 1e-3;
+    experiment.counts.engine = Engine::Events;
+    experiment.counts.poisson = true;
+    let (counts, _) = sums(&experiment, FRAMES);
+    let total: f64 = means.iter().sum();
+    let l1 = means.iter().zip(&counts).map(|(m, c)| (m - c).abs()).sum::<f64>() / total;
+    let chance = means.iter().map(|m| (m * std::f64::consts::FRAC_2_PI).sqrt()).sum::<f64>() / total;
+    let of_means = l1 * l1 - chance * chance;
+    // The variance of |x| of a normal x is (π/2 - 1) times the square of its mean; that of the square of a mean twice as much, relatively.
+    let deviation =
+        2.0 * chance * chance * (std::f64::consts::FRAC_PI_2 - 1.0).sqrt() / (means.len() as f64).sqrt();
+    println!(
+        "L1 {l1:.2e}, chance {chance:.2e}, means {:.2e} (± {:.0e} squared)",
+        of_means.max(0.0).sqrt(),
+        deviation
+    );
+    assert!(of_means < 1e-6 + 5.0 * deviation, "{of_means:.2e}, one deviation {deviation:.1e}");
 }
 
 /// The same counts on one and two threads, and others with another seed.

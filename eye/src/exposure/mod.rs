@@ -45,6 +45,7 @@ use glam::DVec2;
 
 pub use audit::AuditSample;
 pub use cones::{ConeColumns, cone_columns};
+pub(crate) use events::NODE_UM as EVENTS_NODE_UM;
 pub use kernel::{BLOCK as TRANSFER_BLOCK, KernelSpec, Kernels, TABLE_TOLERANCE};
 pub use polar::PolarShape;
 pub use scan::SCAN_BLUR;

@@ -10,7 +10,7 @@ use super::{Numerics, PlanError, PlannedTile, lit_wavelengths, planned_tiles};
 use crate::experiment::{Engine, Experiment, RangeError};
 
 /// CPU seconds per drawn photon of the `events` engine.
-const SECONDS_PER_EVENT: f64 = 42e-9;
+const SECONDS_PER_EVENT: f64 = 25e-9;
 /// Share of the photons in the pupil that `events` draws, about.
 const DRAWN_SHARE: f64 = 0.15;
 /// Share of a white screen's light in a picture, about.
@@ -79,7 +79,16 @@ pub fn automatic(experiment: &Experiment) -> Result<Engine, PlanError> {
     let tiles = planned_tiles(&experiment, &setup, &wavelengths.nodes_nm)?;
     let cones = super::cost::cones_in(&setup);
     let [expected, events] = both(&experiment, &setup, &tiles, cones);
-    Ok(if events < CLEARLY * expected { Engine::Events } else { Engine::Expected })
+    let better = events < CLEARLY * expected && drawn_in_target(&experiment)?;
+    Ok(if better { Engine::Events } else { Engine::Expected })
+}
+
+/// Whether the means of `events` are as good as an experiment asks for.
+fn drawn_in_target(experiment: &Experiment) -> Result<bool, PlanError> {
+    let mut experiment = experiment.clone();
+    experiment.counts.engine = Engine::Events;
+    let parts = super::error::drawn(&experiment, &lit_wavelengths(&experiment)?);
+    Ok(super::error::total(&parts) <= experiment.accuracy_target)
 }
 
 /// Whether the drawn photons of a whole screen alone take longer than `expected` does at most, with all frequencies of the eye: seen without
@@ -138,7 +147,10 @@ pub(super) fn reason(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTil
         Engine::Paper => "asked for",
         Engine::Expected if !counts.poisson => "means are asked for",
         Engine::Expected if experiment.eye.stray_light.is_some() => "it has the stray light",
-        Engine::Expected if events < CLEARLY * expected => "asked for",
+        Engine::Expected if events < CLEARLY * expected => match drawn_in_target(experiment) {
+            Ok(true) => "asked for",
+            _ => "EVENTS is faster, but not as exact as the target",
+        },
         Engine::Events if events >= CLEARLY * expected => "asked for",
         Engine::Expected => "EVENTS is not clearly faster",
         Engine::Events => "clearly faster",
@@ -178,13 +190,12 @@ pub(super) fn cost(
             }
         }
         Engine::Events => {
-            let spread_um = if experiment.accuracy_target < 0.005 { 100.0 } else { 200.0 };
             let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0).powi(4);
             let pixels = pixels_of(tiles);
             let layers = super::lit::computed_primaries(experiment) as f64;
             let drawn = photons_per_pixel(experiment) * pixels * DRAWN_SHARE;
             EngineCost {
-                prepare: ready + nodes(spread_um) * waves * SECONDS_PER_TABLE * pupil,
+                prepare: ready + nodes(crate::exposure::EVENTS_NODE_UM) * waves * SECONDS_PER_TABLE * pupil,
                 frame: drawn * SECONDS_PER_EVENT
                     + pixels * layers * (SECONDS_PER_PLACE + waves / 64.0 * SECONDS_PER_PIECE)
                     + cones * SECONDS_PER_COUNT,

@@ -1,10 +1,10 @@
-//! The numerical settings of `expected`: what an accuracy target asks for, or what is fixed by hand. The only place where they are chosen;
+//! The numerical settings of `expected` and, where it has any, of `events`: what an accuracy target asks for, or what is fixed by hand. The only place where they are chosen;
 //! docs/adr/0007 has the measurements.
 
 use serde::{Deserialize, Serialize};
 
 use super::Rule;
-use crate::experiment::{Experiment, Pattern, RangeError, Video, check_range};
+use crate::experiment::{Engine, Experiment, Pattern, RangeError, Video, check_range};
 
 /// Settings fixed by hand; those that are not given follow from the accuracy target.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -103,12 +103,14 @@ impl Numerics {
         let rough = target >= 0.03;
         // Chromatic defocus changes the spread faster with wavelength behind a large pupil.
         let small = experiment.eye.pupil_mm <= COARSE_STEP_PUPIL_MM;
+        // Photons are of one wavelength node or the next, which gains only the second power of the step.
+        let drawn = experiment.counts.engine == Engine::Events;
         let point = matches!(experiment.video, Video::Pattern(Pattern::Point { .. }));
         let basis_share = if point { BASIS_SHARE_OF_A_POINT } else { BASIS_SHARE };
         Self {
             wavelength_step_nm: experiment.counts.wavelength_step_nm.unwrap_or(if coarse && small {
                 20.0
-            } else if usual && small {
+            } else if usual && small && !drawn {
                 15.0
             } else if usual {
                 10.0

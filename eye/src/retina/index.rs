@@ -1,11 +1,14 @@
 //! Which cone's aperture owns a point of the chart.
 //!
 //! A raster of square bins over the apertures, some 24 in a small one. A bin has two half planes, each with a cone: the bin inside one
-//! aperture, one that a wall crosses, and one with a gap between two apertures. Where more meet, the answer is a list of walls: for every
-//! aperture of the bin those that cut it, and a point inside all of them is inside the aperture. Apertures are convex.
+//! aperture, one that a wall crosses, and one with a gap between two apertures. Where more meet, the bin is split into four of half its
+//! side, and where more meet in one of those, the answer is a list of walls: for every aperture of the bin those that cut it, and a point
+//! inside all of them is inside the aperture. Apertures are convex.
 //!
-//! A point on a wall belongs to exactly one of the two cones: a wall is a line of the bin, made from its end points in lexicographic
-//! order, with the same bits for both cones, and a point on it counts as left of it.
+//! A wall is a line of the bin, made from its end points in lexicographic order, with the same bits for both cones. Cones that share one
+//! share its half plane too; in a list a point on it counts as left of it. So such a point belongs to exactly one of the two.
+
+use std::hint::select_unpredictable;
 
 use glam::DVec2;
 
@@ -15,14 +18,16 @@ use super::mosaic::Retina;
 const BINS_PER_CONE: f64 = 24.0;
 /// Most bins per cone, all in all.
 const MOST_BINS_PER_CONE: f64 = 128.0;
+/// Most bins along a side: places far from all cones do not come around to others in 32 bits.
+const MOST_BINS_ALONG: f64 = 60_000.0;
 /// Answer: no aperture.
 const NOBODY: u32 = u32::MAX;
-/// In place of the number of a bin that is not there.
-const NO_BIN: u32 = u32::MAX;
-/// Set in an answer that is a list of walls; the rest is its first wall.
-const LIST: u32 = 1 << 31;
+/// Set in an answer that is no cone: the rest is the first of four bins, or the first wall of a list.
+const MORE: u32 = 1 << 31;
+/// Set in an answer that is a list of walls.
+const LIST: u32 = 1 << 30;
 /// Bins lie in memory in squares of this side, so that neighbours are near.
-const SQUARE: usize = 8;
+const SQUARE: u32 = 8;
 /// A line nearer to a bin than this, in bins, is taken to cross it.
 const HAIR: f64 = 1e-5;
 
@@ -32,38 +37,59 @@ const RIGHT: u32 = 1;
 const LAST: u32 = 2;
 /// Last wall of a bin.
 const END: u32 = 4;
-/// Length of a line's normal: of whole numbers, it is off by 2e-5.
-const ONE: f32 = 32_767.0;
 /// No wall: the aperture holds the whole bin.
 const WHOLE: u32 = 8;
+
+/// Length of a half plane's normal: of whole numbers, it is off by 2e-5.
+const ONE: f32 = 32_767.0;
+/// Places in a bin are whole numbers of so many bits.
+const PLACE_BITS: u32 = 15;
+/// The last of the parts of a bin.
+const PARTS: f32 = ((1 << PLACE_BITS) - 1) as f32;
+/// Added to a single-precision number it leaves a whole one in its last bits, up to 2^22.
+const ROUNDER: f32 = 12_582_912.0;
+/// Bins from an origin that are outside.
+const FAR: f32 = 1e6;
+/// Bits by which a half plane's distance is coarser than the product of its normal and a place: 6e-5 of a bin.
+const COARSE_BITS: u32 = 16;
 
 /// Point location in the apertures of a retina.
 #[derive(Clone, Debug)]
 pub struct ConeIndex {
     first: DVec2,
     per_um: f64,
-    /// Columns and rows, and squares in a row.
-    side: [usize; 2],
-    squares: usize,
-    /// By bin: its line.
-    bins: Vec<u32>,
-    lines: Vec<Line>,
+    raster: Raster,
+    /// Those of the raster, the one that stands for all that are not there, and split ones, four by four.
+    bins: Vec<Bin>,
     walls: Vec<Wall>,
 }
 
-/// The half planes of a bin, `normal · p >= at`, times [`ONE`]: a point in the first is of the first cone, else one in the second of the
-/// second, else of nobody. Small, so that many stay in the cache.
+/// Where in memory the bins are.
 #[derive(Clone, Copy, Debug)]
-struct Line {
+pub(crate) struct Raster {
+    /// Columns and rows, and squares in a row.
+    side: [u32; 2],
+    squares: u32,
+    /// The bin of what is outside.
+    nowhere: u32,
+}
+
+/// The half planes of a bin, `normal · p >= at`: a point in the first is of the first cone, else one in the second of the second, else of
+/// nobody. Small, so that many stay in the cache.
+#[derive(Clone, Copy, Debug)]
+struct Bin {
     normal: [[i16; 2]; 2],
-    at: [f32; 2],
-    /// The third is nobody's.
-    answer: [u32; 3],
+    at: [i16; 2],
+    answer: [u32; 2],
 }
 
 /// A bin from which places near it are counted, so that they fit into single precision.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Origin([i32; 2]);
+
+/// A place in a bin, in [`PARTS`]: x below, y above.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Place(u32);
 
 /// One wall in one bin: the line `normal · p = at`, p in bins from the bin's corner.
 #[derive(Clone, Copy, Debug)]
@@ -77,7 +103,7 @@ struct Wall {
 impl ConeIndex {
     /// An index over the cones of a retina.
     pub fn new(retina: &Retina) -> Self {
-        let polygons: Vec<Vec<DVec2>> = (0..retina.len()).map(|i| retina.polygon(i).collect()).collect();
+        let mut polygons: Vec<Vec<DVec2>> = (0..retina.len()).map(|i| retina.polygon(i).collect()).collect();
         let (min, max) = polygons
             .iter()
             .flatten()
@@ -88,51 +114,32 @@ impl ConeIndex {
         let small = areas.get(areas.len() / 10).map_or(0.0, |area| f64::from(*area)) / BINS_PER_CONE;
         let least = extent.x * extent.y / (MOST_BINS_PER_CONE * polygons.len().max(1) as f64);
         let size = small.max(least).min(extent.x * extent.y).sqrt();
-        let side = [extent.x, extent.y].map(|extent| (extent / size) as usize + 1);
+        let size = size.max(extent.max_element() / MOST_BINS_ALONG);
+        let side = [extent.x, extent.y].map(|extent| (extent / size) as u32 + 1);
         let squares = side.map(|side| side.div_ceil(SQUARE));
-        let first = if min.x <= max.x { min } else { DVec2::ZERO };
-        let bins = vec![0; squares[0] * squares[1] * SQUARE * SQUARE];
-        let lines = vec![Line::same(NOBODY)];
-        let mut index =
-            Self { first, per_um: 1.0 / size, side, squares: squares[0], bins, lines, walls: Vec::new() };
+        let nowhere = squares[0] * squares[1] * SQUARE * SQUARE;
+        let raster = Raster { side, squares: squares[0], nowhere };
+        let (first, per_um) = (if min.x <= max.x { min } else { DVec2::ZERO }, 1.0 / size);
+        for corner in polygons.iter_mut().flatten() {
+            *corner = (*corner - first) * per_um;
+        }
         let mut parts: Vec<(u32, Wall)> = Vec::new();
         for (cone, polygon) in polygons.iter().enumerate().filter(|(_, polygon)| polygon.len() >= 3) {
-            index.add(cone as u32, polygon, &mut parts);
+            raster.enter(cone as u32, polygon, &mut parts);
         }
-        index.gather(&parts);
+        let mut index = Self { first, per_um, raster, bins: Vec::new(), walls: Vec::new() };
+        index.gather(&parts, &polygons);
         index
     }
 
-    /// Where in memory the bin of a column and row is.
-    #[inline]
-    fn number(&self, column: usize, row: usize) -> usize {
-        let square = row / SQUARE * self.squares + column / SQUARE;
-        square * SQUARE * SQUARE + row % SQUARE * SQUARE + column % SQUARE
-    }
-
-    /// Enters a cone into the bins it touches: its walls go to `parts` with their bin.
-    fn add(&mut self, cone: u32, polygon: &[DVec2], parts: &mut Vec<(u32, Wall)>) {
-        let local: Vec<DVec2> = polygon.iter().map(|p| (*p - self.first) * self.per_um).collect();
-        let (min, max) =
-            local.iter().fold((DVec2::MAX, DVec2::MIN), |(min, max), p| (min.min(*p), max.max(*p)));
-        let [columns, rows] = self.side;
-        let [left, right] = [min.x - HAIR, max.x + HAIR].map(|x| (x as usize).min(columns - 1));
-        let [top, bottom] = [min.y - HAIR, max.y + HAIR].map(|y| (y as usize).min(rows - 1));
-        for row in top..=bottom {
-            for column in left..=right {
-                let corner = DVec2::new(column as f64, row as f64);
-                cut(cone, &local, corner, self.number(column, row) as u32, parts);
-            }
-        }
-    }
-
-    /// Sorts the walls by bin, cones in their order, and makes each bin's line.
-    fn gather(&mut self, parts: &[(u32, Wall)]) {
-        let mut next = vec![0_u32; self.bins.len() + 1];
+    /// Sorts the walls by bin, cones in their order, and makes the bins.
+    fn gather(&mut self, parts: &[(u32, Wall)], polygons: &[Vec<DVec2>]) {
+        let nowhere = self.raster.nowhere as usize;
+        let mut next = vec![0_u32; nowhere + 1];
         for (bin, _) in parts {
             next[*bin as usize + 1] += 1;
         }
-        for bin in 0..self.bins.len() {
+        for bin in 0..nowhere {
             next[bin + 1] += next[bin];
         }
         let mut walls = vec![Wall { normal: [0.0; 2], at: 0.0, tag: 0 }; parts.len()];
@@ -141,47 +148,50 @@ impl ConeIndex {
             walls[*slot as usize] = *wall;
             *slot += 1;
         }
-        // Now `next` holds the end of each bin. Cones that hold a whole bin share a line.
-        let mut whole: Vec<u32> = Vec::new();
+        // Now `next` holds the end of each bin.
+        self.bins = vec![Bin::same(NOBODY); nowhere + 1];
         let mut from = 0;
-        for bin in 0..self.bins.len() {
+        for bin in 0..nowhere {
             let of_bin = &walls[from as usize..next[bin] as usize];
             from = next[bin];
-            let line = match *of_bin {
-                [] => continue,
-                [a] if a.tag & WHOLE != 0 => {
-                    let cone = (a.tag >> 4) as usize;
-                    if whole.len() <= cone {
-                        whole.resize(cone + 1, 0);
-                    }
-                    if whole[cone] > 0 {
-                        self.bins[bin] = whole[cone];
-                        continue;
-                    }
-                    whole[cone] = self.lines.len() as u32;
-                    Line::same(a.tag >> 4)
-                }
-                [a] => Line::same(NOBODY).with(0, a),
-                // What is not of one is of the other.
-                [a, b] if a.is_back_of(b) => Line::same(b.tag >> 4).with(0, a),
-                [a, b] if a.tag & b.tag & LAST != 0 => Line::same(NOBODY).with(0, a).with(1, b),
-                [.., last] => {
-                    let answer = LIST | self.walls.len() as u32;
-                    self.walls.extend_from_slice(&of_bin[..of_bin.len() - 1]);
-                    self.walls.push(Wall { tag: last.tag | END, ..last });
-                    Line::same(answer)
-                }
-            };
-            self.bins[bin] = self.lines.len() as u32;
-            self.lines.push(line);
+            self.bins[bin] = Bin::of(of_bin).unwrap_or_else(|| self.split(bin as u32, of_bin, polygons));
         }
+    }
+
+    /// Adds the four bins of a bin with these walls, and what leads to them.
+    fn split(&mut self, bin: u32, walls: &[Wall], polygons: &[Vec<DVec2>]) -> Bin {
+        let first = self.bins.len() as u32;
+        let corner = self.raster.corner(bin) * 2.0;
+        for quarter in 0..4_u32 {
+            let corner = corner + DVec2::new(f64::from(quarter % 2), f64::from(quarter / 2));
+            let mut parts = Vec::new();
+            for wall in walls.iter().filter(|wall| wall.tag & LAST != 0) {
+                let cone = wall.tag >> 4;
+                cut(cone, (&polygons[cone as usize], 2.0), corner, quarter, &mut parts);
+            }
+            let walls: Vec<Wall> = parts.into_iter().map(|(_, wall)| wall).collect();
+            let bin = Bin::of(&walls).unwrap_or_else(|| {
+                let answer = MORE | LIST | self.walls.len() as u32;
+                self.walls.extend_from_slice(&walls);
+                self.walls.last_mut().into_iter().for_each(|last| last.tag |= END);
+                Bin::same(answer)
+            });
+            self.bins.push(bin);
+        }
+        Bin::same(MORE | first)
     }
 
     /// The cone whose aperture owns `p`, µm of the chart; `None` between apertures and outside.
     #[inline]
     pub fn owner(&self, p: DVec2) -> Option<u32> {
-        let (bin, at) = self.place(p);
-        self.cone(self.answer(self.line(bin), at), at)
+        let at = (p - self.first) * self.per_um;
+        if !(at.x >= 0.0 && at.y >= 0.0) {
+            return None;
+        }
+        let (column, row) = (at.x as i32, at.y as i32);
+        let part = |at: f64, whole: i32| ((at - f64::from(whole)) * f64::from(PARTS)) as u32;
+        let place = Place(part(at.x, column) | part(at.y, row) << 16);
+        self.cone(self.answer(self.raster.bin(column, row), place), place)
     }
 
     /// Bins in a µm.
@@ -189,11 +199,12 @@ impl ConeIndex {
         self.per_um
     }
 
-    /// The bin of a point, or one near the apertures for a point that is far from all.
+    /// The bin of a point, or the nearest one.
     pub(crate) fn origin(&self, p: DVec2) -> Origin {
-        let whole = |at: f64, side: usize| at.floor().clamp(-1e6, side as f64 + 1e6) as i32;
         let at = (p - self.first) * self.per_um;
-        Origin([whole(at.x, self.side[0]), whole(at.y, self.side[1])])
+        let whole = |at: f64, side: u32| at.floor().clamp(0.0, f64::from(side)) as i32;
+        let [columns, rows] = self.raster.side;
+        Origin([whole(at.x, columns), whole(at.y, rows)])
     }
 
     /// A point in bins from an origin.
@@ -202,76 +213,56 @@ impl ConeIndex {
         (p - self.first) * self.per_um - DVec2::new(column, row)
     }
 
-    /// The bin of a point and its place in the bin. Far points have a bin that is not there.
-    fn place(&self, p: DVec2) -> (u32, [f32; 2]) {
-        let at = (p - self.first) * self.per_um;
-        // What is negative or not a number becomes 0 here.
-        let (column, row) = (at.x as i32, at.y as i32);
-        if !(at.x >= 0.0 && at.y >= 0.0) {
-            return (NO_BIN, [0.0; 2]);
-        }
-        (self.bin(column, row), [(at.x - f64::from(column)) as f32, (at.y - f64::from(row)) as f32])
+    /// The raster of bins.
+    pub(crate) fn raster(&self) -> Raster {
+        self.raster
     }
 
-    /// The bin of a point in bins from an origin, and its place in the bin; far points have a bin that is not there.
+    /// What a bin says of a place in it.
     #[inline]
-    pub(crate) fn place_near(&self, origin: Origin, at: [f32; 2]) -> (u32, [f32; 2]) {
-        let floor = |x: f32| x as i32 - i32::from(((x as i32) as f32) > x);
-        let whole = at.map(floor);
-        let bin = self.bin(origin.0[0].wrapping_add(whole[0]), origin.0[1].wrapping_add(whole[1]));
-        (bin, [at[0] - whole[0] as f32, at[1] - whole[1] as f32])
-    }
-
-    /// The bin in a column and row, if it is there.
-    #[inline]
-    fn bin(&self, column: i32, row: i32) -> u32 {
-        let (column, row) = (column as u32, row as u32);
-        let there = (column as usize) < self.side[0] && (row as usize) < self.side[1];
-        if there { self.number(column as usize, row as usize) as u32 } else { NO_BIN }
-    }
-
-    /// The line of a bin.
-    #[inline]
-    pub(crate) fn line(&self, bin: u32) -> u32 {
-        self.bins.get(bin as usize).copied().unwrap_or(0)
-    }
-
-    /// What a line says of a place in its bin.
-    #[inline]
-    pub(crate) fn answer(&self, line: u32, at: [f32; 2]) -> u32 {
-        let Line { normal, at: least, answer } = &self.lines[line as usize];
-        let holds = |half: usize| {
-            let [x, y] = normal[half].map(f32::from);
-            x * at[0] + y * at[1] >= least[half]
-        };
-        // Which one is chance: no branch.
-        answer[usize::from(!holds(0)) * (1 + usize::from(!holds(1)))]
+    pub(crate) fn answer(&self, bin: u32, place: Place) -> u32 {
+        self.bins[bin as usize].answer(place)
     }
 
     /// Whether an answer is a cone and no more has to be asked.
     #[inline]
     pub(crate) fn is_cone(answer: u32) -> bool {
-        answer & LIST == 0
+        answer & MORE == 0
     }
 
-    /// Whether an answer is a list of walls.
+    /// Whether more has to be asked.
     #[inline]
-    pub(crate) fn is_list(answer: u32) -> bool {
-        answer & LIST != 0 && answer != NOBODY
+    pub(crate) fn is_more(answer: u32) -> bool {
+        answer & MORE != 0 && answer != NOBODY
+    }
+
+    /// Asks more: what the quarter of the bin says, and where the place is in that.
+    #[inline]
+    pub(crate) fn quarter(&self, answer: u32, place: Place) -> (u32, Place) {
+        let (quarter, place) = place.quarter();
+        (self.answer((answer & !MORE) + quarter, place), place)
+    }
+
+    /// Asks more of a quarter of a bin: the cone, if any.
+    pub(crate) fn listed(&self, answer: u32, place: Place) -> Option<u32> {
+        self.walk(answer & !(MORE | LIST), place)
     }
 
     /// The cone that an answer means for a place in its bin.
     #[inline]
-    pub(crate) fn cone(&self, answer: u32, at: [f32; 2]) -> Option<u32> {
-        match answer {
-            NOBODY => None,
-            cone if cone & LIST == 0 => Some(cone),
-            list => self.listed(list & !LIST, at),
+    pub(crate) fn cone(&self, answer: u32, place: Place) -> Option<u32> {
+        let (answer, place) =
+            if Self::is_more(answer) { self.quarter(answer, place) } else { (answer, place) };
+        if Self::is_more(answer) {
+            self.listed(answer, place)
+        } else {
+            Self::is_cone(answer).then_some(answer)
         }
     }
 
     /// The first aperture in a list of walls that holds a place.
-    fn listed(&self, first: u32, [x, y]: [f32; 2]) -> Option<u32> {
+    fn walk(&self, first: u32, place: Place) -> Option<u32> {
+        let [x, y] = place.parts().map(|part| part as f32 / PARTS);
         let mut inside = true;
         for wall in &self.walls[first as usize..] {
             let left = wall.normal[0] * x + wall.normal[1] * y >= wall.at;
@@ -290,21 +281,119 @@ impl ConeIndex {
     }
 }
 
-impl Line {
+impl Place {
+    /// Both coordinates.
+    #[inline(always)]
+    fn parts(self) -> [i32; 2] {
+        [self.0 & 0xFFFF, self.0 >> 16].map(|part| part as i32)
+    }
+
+    /// In which quarter of the bin it is, and where there.
+    #[inline]
+    fn quarter(self) -> (u32, Self) {
+        const HALF: u32 = 1 << (PLACE_BITS - 1);
+        let quarter = u32::from(self.0 & HALF != 0) + 2 * u32::from(self.0 & (HALF << 16) != 0);
+        (quarter, Self((self.0 & !(HALF | HALF << 16)) << 1))
+    }
+}
+
+impl Raster {
+    /// Where in memory the bin of a column and row is.
+    #[inline(always)]
+    fn number(self, column: u32, row: u32) -> u32 {
+        // Wraps for bins that are not there.
+        let square = (row / SQUARE).wrapping_mul(self.squares).wrapping_add(column / SQUARE);
+        square.wrapping_mul(SQUARE * SQUARE).wrapping_add(row % SQUARE * SQUARE + column % SQUARE)
+    }
+
+    /// The corner of a bin.
+    fn corner(self, bin: u32) -> DVec2 {
+        let (square, within) = (bin / (SQUARE * SQUARE), bin % (SQUARE * SQUARE));
+        let column = square % self.squares * SQUARE + within % SQUARE;
+        let row = square / self.squares * SQUARE + within / SQUARE;
+        DVec2::new(f64::from(column), f64::from(row))
+    }
+
+    /// The bin in a column and row.
+    #[inline(always)]
+    fn bin(self, column: i32, row: i32) -> u32 {
+        let (column, row) = (column as u32, row as u32);
+        let there = (column < self.side[0]) & (row < self.side[1]);
+        let number = self.number(column, row);
+        if there { number } else { self.nowhere }
+    }
+
+    /// The bin of a point in bins from an origin, and its place in the bin.
+    #[inline(always)]
+    pub(crate) fn place_near(self, origin: Origin, at: [f32; 2]) -> (u32, Place) {
+        // Whole numbers by adding one so large that nothing else has place beside them: a conversion is not made for several at once.
+        // Far points stay outside: an origin is in the raster.
+        let [x, y] = at.map(|at| {
+            let at = if at > -FAR { at } else { -FAR };
+            let at = if at < FAR { at } else { FAR };
+            let whole = at - 0.5 + ROUNDER;
+            let part = (at - (whole - ROUNDER)) * PARTS + ROUNDER;
+            let bits = |number: f32| number.to_bits().wrapping_sub(ROUNDER.to_bits());
+            (bits(whole) as i32, bits(part))
+        });
+        let bin = self.bin(origin.0[0].wrapping_add(x.0), origin.0[1].wrapping_add(y.0));
+        (bin, Place(x.1 | y.1 << 16))
+    }
+
+    /// Enters a cone (corners in bins) into the bins it touches: its walls go to `parts` with their bin.
+    fn enter(self, cone: u32, polygon: &[DVec2], parts: &mut Vec<(u32, Wall)>) {
+        let (min, max) =
+            polygon.iter().fold((DVec2::MAX, DVec2::MIN), |(min, max), p| (min.min(*p), max.max(*p)));
+        let [columns, rows] = self.side;
+        let [left, right] = [min.x - HAIR, max.x + HAIR].map(|x| (x as u32).min(columns - 1));
+        let [top, bottom] = [min.y - HAIR, max.y + HAIR].map(|y| (y as u32).min(rows - 1));
+        for row in top..=bottom {
+            for column in left..=right {
+                let corner = DVec2::new(f64::from(column), f64::from(row));
+                cut(cone, (polygon, 1.0), corner, self.number(column, row), parts);
+            }
+        }
+    }
+}
+
+impl Bin {
+    /// With these walls, cones in their order. `None`: more than two half planes.
+    fn of(walls: &[Wall]) -> Option<Self> {
+        match *walls {
+            [] => Some(Self::same(NOBODY)),
+            [a] if a.tag & WHOLE != 0 => Some(Self::same(a.tag >> 4)),
+            [a] => Some(Self::same(NOBODY).with(0, a)),
+            // What is not of one is of the other.
+            [a, b] if a.is_back_of(b) => Some(Self::same(b.tag >> 4).with(0, a)),
+            [a, b] if a.tag & b.tag & LAST != 0 => Some(Self::same(NOBODY).with(0, a).with(1, b)),
+            _ => None,
+        }
+    }
+
     /// The same answer everywhere.
     fn same(answer: u32) -> Self {
-        Self { normal: [[0; 2]; 2], at: [-1.0; 2], answer: [answer, answer, NOBODY] }
+        Self { normal: [[0; 2]; 2], at: [i16::MIN; 2], answer: [answer; 2] }
     }
 
     /// With a wall's half plane and cone.
     fn with(mut self, half: usize, wall: Wall) -> Self {
-        let right = wall.tag & RIGHT != 0;
-        let sign = if right { -ONE } else { ONE };
+        let sign = if wall.tag & RIGHT != 0 { -ONE } else { ONE };
         self.normal[half] = wall.normal.map(|n| (n * sign).round() as i16);
-        // What is right of a wall is not on it.
-        self.at[half] = if right { (wall.at * sign).next_up() } else { wall.at * sign };
+        self.at[half] = (wall.at * sign * (PARTS / (1 << COARSE_BITS) as f32)).round() as i16;
         self.answer[half] = wall.tag >> 4;
         self
+    }
+
+    /// What it says of a place in it. Which answer it is is chance: no branch.
+    #[inline(always)]
+    fn answer(&self, place: Place) -> u32 {
+        let [x, y] = place.parts();
+        let holds = |half: usize| {
+            let [a, b] = self.normal[half].map(i32::from);
+            a * x + b * y >= i32::from(self.at[half]) << COARSE_BITS
+        };
+        let rest = select_unpredictable(holds(1), self.answer[1], NOBODY);
+        select_unpredictable(holds(0), self.answer[0], rest)
     }
 }
 
@@ -321,11 +410,12 @@ impl Wall {
     }
 }
 
-/// Adds to `parts` the walls of a polygon (in bins) that cut the bin at `corner`, if the polygon has a part of the bin.
-fn cut(cone: u32, polygon: &[DVec2], corner: DVec2, bin: u32, parts: &mut Vec<(u32, Wall)>) {
+/// Adds to `parts` the walls of a polygon that cut the bin at `corner`, if the polygon has a part of the bin. Its corners are times `scale`
+/// in bins.
+fn cut(cone: u32, (polygon, scale): (&[DVec2], f64), corner: DVec2, bin: u32, parts: &mut Vec<(u32, Wall)>) {
     let before = parts.len();
     for (m, &from) in polygon.iter().enumerate() {
-        let to = polygon[(m + 1) % polygon.len()];
+        let (from, to) = (from * scale, polygon[(m + 1) % polygon.len()] * scale);
         let turned = (from.x, from.y) > (to.x, to.y);
         let (a, b) = if turned { (to, from) } else { (from, to) };
         let along = b - a;
@@ -383,8 +473,8 @@ mod tests {
                 let (cone, depth) =
                     near.map(|i| (i, depth(i))).max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, -1.0));
                 let bins_from = index.bins_from(origin, p).as_vec2().to_array();
-                let (bin, inside) = index.place_near(origin, bins_from);
-                let owner = index.cone(index.answer(index.line(bin), inside), inside);
+                let (bin, inside) = index.raster().place_near(origin, bins_from);
+                let owner = index.cone(index.answer(bin, inside), inside);
                 if depth.abs() < 1e-4 {
                     close += 1;
                     continue;
@@ -406,7 +496,7 @@ mod tests {
             let p = a + (b - a) * (f64::from(k) / 999.0);
             let inside = [[below, b, a], [above, a, b]].map(|polygon| {
                 let mut parts = Vec::new();
-                cut(0, &polygon, corner, 0, &mut parts);
+                cut(0, (&polygon, 1.0), corner, 0, &mut parts);
                 // Only the shared wall: the others do not meet rounding here.
                 parts
                     .iter()

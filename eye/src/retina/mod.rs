@@ -41,7 +41,7 @@ pub use force::{K1, K2, K3, K3_LIMIT, NEIGHBOUR, RADIUS_FACTOR, normalized_dista
 pub use graph::NeighbourGraph;
 pub use import::{check_mosaic, import};
 pub use index::ConeIndex;
-pub(crate) use index::Origin;
+pub(crate) use index::{Origin, Place, Raster};
 pub use local::{Frame, Local, Metric, local};
 pub use mosaic::{ConeType, Cones, Counts, Retina, RetinaTile};
 pub use params::{

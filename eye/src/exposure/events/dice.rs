@@ -3,7 +3,7 @@
 
 use glam::DVec2;
 
-use crate::rng::mixed;
+use crate::rng::{COUNT, mixed};
 
 /// 2^-32.
 const UNIT: f64 = 1.0 / 4_294_967_296.0;
@@ -38,6 +38,13 @@ impl Words {
         mixed(self.key, photon.wrapping_mul(8).wrapping_add(purpose))
     }
 
+    /// Before the last step: the words of so many photons one after the other are the finalized sums of the first and multiples of the second.
+    #[inline]
+    pub(super) fn steps(self, first: u64, purpose: u64) -> [u64; 2] {
+        let counter = first.wrapping_mul(8).wrapping_add(purpose);
+        [self.key.wrapping_add(counter.wrapping_add(1).wrapping_mul(COUNT)), COUNT.wrapping_mul(8)]
+    }
+
     /// More words for a photon; different ones for each `what`.
     pub(super) fn more(self, photon: u64, what: u64) -> Dice {
         Dice { key: mixed(self.of(photon, MORE), what), counter: 0 }
@@ -61,6 +68,12 @@ impl Dice {
 #[inline]
 pub(super) fn unit(bits: u32) -> f64 {
     f64::from(bits) * UNIT
+}
+
+/// A uniform number in [0, 1) in single precision, of the upper 24 bits.
+#[inline]
+pub(super) fn unit24(bits: u32) -> f32 {
+    (bits >> 8) as i32 as f32 * (1.0 / 16_777_216.0)
 }
 
 /// A uniform number in [0, 1) of the upper half of a word.

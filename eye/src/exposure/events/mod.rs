@@ -53,6 +53,8 @@ use sight::Sight;
 use stage::Stage;
 use tables::Tables;
 
+pub(crate) use tables::NODE_UM;
+
 /// The prepared engine.
 pub struct Events {
     seed: u64,

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use glam::{DMat2, DVec2};
+use multiversion::multiversion;
 
 use super::dice::{PIXEL, Words, above, halves, unit};
 use super::landing::{Landing, Patch};
@@ -65,7 +66,19 @@ impl Tally {
     }
 }
 
+/// Largest part of the distance between field nodes over which a pixel is seen for which all its photons have the chances of its middle
+/// to be of a node.
+const ONE_NODE: f32 = 0.125;
+
+/// Photons to draw: of a field node or of those around each, from a pixel or from any.
+struct Run {
+    node: Option<u32>,
+    pixel: Option<usize>,
+    number: u64,
+}
+
 /// Where photons of a pixel are seen, by the whole numbers of their bits, bins from an origin.
+#[derive(Clone, Copy)]
 struct Straight {
     from: [f32; 2],
     across: [f32; 2],
@@ -88,6 +101,10 @@ pub(super) struct Piece<'a> {
     block: Block,
     /// By pixel, when all are.
     straight: Option<Vec<Straight>>,
+    /// Field nodes and pixels near them, with the light of each that is of the node, when pixels are small.
+    nodes: Option<Vec<(u32, usize, f64)>>,
+    /// Whether `straight` places are the same all the time.
+    still: bool,
     index: &'a ConeIndex,
     /// Where places are counted from.
     origin: Origin,
@@ -122,6 +139,13 @@ impl Block {
     /// Whether it is dark.
     pub(super) fn is_dark(&self) -> bool {
         self.total <= 0.0
+    }
+
+    /// Light of a pixel.
+    fn light(&self, pixel: usize) -> f64 {
+        let before = if pixel == 0 { 0.0 } else { self.until[pixel - 1] };
+        let until = if pixel + 1 == self.patches.len() { self.total } else { self.until[pixel] };
+        until - before
     }
 
     /// A pixel by its light, for a uniform number.
@@ -161,14 +185,54 @@ impl Straight {
         })
     }
 
+    /// What it becomes where each place is shifted by some bins: affine through the corners of the pixel.
+    fn shifted(&self, by: impl Fn([f32; 2]) -> [f32; 2]) -> Self {
+        const ENDS: [f32; 3] = [65_536.0, 65_536.0, 2_147_483_648.0];
+        let first = by(self.from);
+        let mut shifted = *self;
+        shifted.from = [0, 1].map(|axis| self.from[axis] + first[axis]);
+        for (edge, end) in [&mut shifted.across, &mut shifted.down, &mut shifted.during].into_iter().zip(ENDS)
+        {
+            if *edge != [0.0; 2] {
+                let there = by([0, 1].map(|axis| self.from[axis] + edge[axis] * end));
+                *edge = [0, 1].map(|axis| edge[axis] + (there[axis] - first[axis]) / end);
+            }
+        }
+        shifted
+    }
+
+    /// Where photons are seen on average.
+    fn middle(&self) -> [f32; 2] {
+        self.seen(0x8000_8000, 0x8000_0000)
+    }
+
+    /// How far apart photons are seen, at most, along each axis.
+    fn extent(&self) -> [f32; 2] {
+        [0, 1].map(|axis| {
+            65_536.0 * (self.across[axis].abs() + self.down[axis].abs())
+                + 2_147_483_648.0 * self.during[axis].abs()
+        })
+    }
+
     /// Where a photon is seen.
-    #[inline]
+    #[inline(always)]
     fn seen(&self, place: u32, time: u32) -> [f32; 2] {
         let [across, down] = halves(place).map(|part| part as i32 as f32);
         let time = (time >> 1) as i32 as f32;
         [0, 1].map(|axis| {
             self.from[axis] + self.across[axis] * across + self.down[axis] * down + self.during[axis] * time
         })
+    }
+}
+
+/// Where photons of one pixel are seen.
+#[multiversion(targets("x86_64+avx2"))]
+fn leave_from(pixel: &Straight, (places, times): (&[u32], &[u32]), [xs, ys]: [&mut [f32]; 2]) {
+    let pixel = *pixel;
+    let many = places.len().min(times.len()).min(xs.len()).min(ys.len());
+    for i in 0..many {
+        let seen = pixel.seen(places[i], times[i]);
+        (xs[i], ys[i]) = (seen[0], seen[1]);
     }
 }
 
@@ -184,7 +248,20 @@ impl<'a> Piece<'a> {
             let of = |patch: &Patch| Straight::new(patch.straight()?, emitter, line, (index, origin));
             block.patches.iter().map(of).collect()
         });
-        Self { emitter, sight, block, straight, index, origin, field }
+        let nodes = straight.as_ref().and_then(|straight: &Vec<Straight>| {
+            straight.iter().all(|pixel| field.part(pixel.extent()) < ONE_NODE).then(|| {
+                let mut nodes: Vec<(u32, usize, f64)> = Vec::with_capacity(4 * straight.len());
+                for (pixel, seen) in straight.iter().enumerate() {
+                    let light = block.light(pixel);
+                    let around = field.around(seen.middle()).into_iter().filter(|(_, weight)| *weight > 0.0);
+                    nodes.extend(around.map(|(node, weight)| (node, pixel, light * f64::from(weight))));
+                }
+                nodes.sort_by_key(|(node, pixel, _)| (*node, *pixel));
+                nodes
+            })
+        });
+        let still = straight.iter().flatten().all(|pixel| pixel.during == [0.0; 2]);
+        Self { emitter, sight, block, straight, nodes, still, index, origin, field }
     }
 
     /// Draws and counts the photons near one wavelength node.
@@ -195,51 +272,68 @@ impl<'a> Piece<'a> {
         stream: &mut Stream,
         (stage, tally): (&mut Stage, &mut Tally),
     ) {
-        let pixels = self.numbers(self.sight.share() * wave.rate, stream);
-        let drawn = pixels.iter().map(|(_, number)| number).sum::<u64>();
+        let runs = self.runs(self.sight.share() * wave.rate, stream);
+        let drawn = runs.iter().map(|run| run.number).sum::<u64>();
         let words = Words { key: stream.bits() };
         tally.drawn += drawn;
         let mut first = 0;
-        let mut runs = pixels.into_iter().filter(|run| run.1 > 0);
-        let mut run = (None, 0);
-        while first < drawn {
-            let many = (drawn - first).min(BATCH as u64) as usize;
-            stage.throw(words, first, many);
-            let mut filled = 0;
-            while filled < many {
-                if run.1 == 0 {
-                    run = runs.next().unwrap_or((None, u64::MAX));
-                }
-                let until = many.min(filled + run.1.min(BATCH as u64) as usize);
-                self.leave(landing, (words, first), run.0, (filled..until, stage));
-                (run.1, filled) = (run.1 - (until - filled) as u64, until);
+        // Where the pixels are seen at this wavelength, when all photons are of one node each.
+        let of_wave: Option<Vec<Straight>> = match &self.straight {
+            Some(straight) if runs.first().is_some_and(|run| run.node.is_some()) => {
+                let shift = |at| wave.beam.shift(&self.field, at);
+                Some(straight.iter().map(|pixel| pixel.shifted(shift)).collect())
             }
-            stage.land((self.index, self.origin, &self.field), wave, (words, first), many);
-            stage.count(self.index, wave, (words, first), many, tally);
-            first += many as u64;
-        }
-    }
-
-    /// How many photons to draw from a pixel each, or from any pixel.
-    fn numbers(&self, rate: f64, stream: &mut Stream) -> Vec<(Option<usize>, u64)> {
-        let pixels = self.block.patches.len();
-        if self.block.total * rate < MANY * pixels as f64 {
-            return vec![(None, poisson::from_stream(stream, self.block.total * rate) as u64)];
-        }
-        let light = |pixel: usize| {
-            let before = if pixel == 0 { 0.0 } else { self.block.until[pixel - 1] };
-            let until = if pixel + 1 == pixels { self.block.total } else { self.block.until[pixel] };
-            until - before
+            _ => None,
         };
-        (0..pixels)
-            .map(|pixel| (Some(pixel), poisson::from_stream(stream, light(pixel) * rate) as u64))
-            .collect()
+        let straight = of_wave.as_ref().or(self.straight.as_ref()).map(Vec::as_slice);
+        for runs in runs.chunk_by(|a, b| a.node == b.node) {
+            let node = runs[0].node;
+            let timed = node.is_none() || wave.lister.is_some() || !self.still;
+            let mut left = runs.iter().map(|run| run.number).sum::<u64>();
+            let mut runs = runs.iter().map(|run| (run.pixel, run.number)).filter(|run| run.1 > 0);
+            let mut run = (None, 0);
+            while left > 0 {
+                let many = left.min(BATCH as u64) as usize;
+                stage.throw((words, first), many, timed);
+                let mut filled = 0;
+                while filled < many {
+                    if run.1 == 0 {
+                        run = runs.next().unwrap_or((None, u64::MAX));
+                    }
+                    let until = many.min(filled + run.1.min(BATCH as u64) as usize);
+                    self.leave((landing, straight), (words, first), run.0, (filled..until, stage));
+                    (run.1, filled) = (run.1 - (until - filled) as u64, until);
+                }
+                let place = (self.index, self.origin, &self.field);
+                stage.land(place, (&wave.beam, node), (words, first), many);
+                stage.count(self.index, wave, (words, first), many, tally);
+                (first, left) = (first + many as u64, left - many as u64);
+            }
+        }
     }
 
-    /// Where on the retina chief rays of some photons of a batch from a pixel (or any) land at the reference wavelength.
+    /// How many photons to draw.
+    fn runs(&self, rate: f64, stream: &mut Stream) -> Vec<Run> {
+        let pixels = self.block.patches.len();
+        let mut draw =
+            |node, pixel, mean| Run { node, pixel, number: poisson::from_stream(stream, mean) as u64 };
+        if self.block.total * rate < MANY * pixels as f64 {
+            return vec![draw(None, None, self.block.total * rate)];
+        }
+        if let Some(nodes) = &self.nodes {
+            return nodes
+                .iter()
+                .map(|(node, pixel, light)| draw(Some(*node), Some(*pixel), light * rate))
+                .collect();
+        }
+        (0..pixels).map(|pixel| draw(None, Some(pixel), self.block.light(pixel) * rate)).collect()
+    }
+
+    /// Where on the retina chief rays of some photons of a batch from a pixel (or any) land: at the wavelength of `straight`, or at the
+    /// reference wavelength.
     fn leave(
         &self,
-        landing: &Landing,
+        (landing, straight): (&Landing, Option<&[Straight]>),
         (words, first): (Words, u64),
         pixel: Option<usize>,
         (range, stage): (Range<usize>, &mut Stage),
@@ -249,12 +343,10 @@ impl<'a> Piece<'a> {
         let bits = places[range.clone()].iter().zip(&times[range.clone()]);
         let seen = xs[range.clone()].iter_mut().zip(&mut ys[range.clone()]);
         let photons = seen.zip(bits);
-        match (&self.straight, pixel) {
+        match (straight, pixel) {
             (Some(straight), Some(pixel)) => {
-                let straight = &straight[pixel];
-                for ((x, y), (place, time)) in photons {
-                    [*x, *y] = straight.seen(*place, *time);
-                }
+                let drawn = (&places[range.clone()], &times[range.clone()]);
+                leave_from(&straight[pixel], drawn, [&mut xs[range.clone()], &mut ys[range]]);
             }
             (Some(straight), None) => {
                 for (i, ((x, y), (place, time))) in range.zip(photons) {
@@ -285,7 +377,7 @@ mod tests {
     #[test]
     fn straight_places() {
         let index = ConeIndex::new(&Retina::assemble(&[], &RegionUm { min: DVec2::ZERO, max: DVec2::ONE }));
-        let (um, by) = (DVec2::new(812.5, -377.25), DMat2::from_cols_array(&[16.1, 0.3, -0.2, -15.9]));
+        let (um, by) = (DVec2::new(12.5, -7.25), DMat2::from_cols_array(&[16.1, 0.3, -0.2, -15.9]));
         let origin = index.origin(um + 3.0);
         let mut emitter = Emitter {
             channel: Channel::White,

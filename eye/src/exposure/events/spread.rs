@@ -10,12 +10,12 @@
 
 use glam::DVec2;
 
-use super::dice::Dice;
+use super::dice::{Dice, above};
 use crate::math;
 use crate::psf::{GridAxes, PsfGrid, Wavefront, psf};
 
 /// Samples of a window in the shortest period that the pupil passes.
-const PER_PERIOD: f64 = 5.0;
+const PER_PERIOD: f64 = 3.5;
 /// Most samples along a side.
 const MAX_SAMPLES: usize = 1024;
 /// Least half side of a window, µm.
@@ -28,6 +28,17 @@ const CORE_SHARE: f64 = 0.95;
 /// The cell of a core that stands for all light outside it.
 pub(super) const OUTSIDE: u32 = 0;
 
+/// In place of a cell's number: outside the window.
+const BEYOND: u32 = u32::MAX;
+
+/// A photon outside the core.
+pub(super) struct Outside {
+    /// The cell of the window.
+    cell: u32,
+    /// What is left of its random bits.
+    dice: Dice,
+}
+
 /// The table.
 pub(super) struct Spread {
     /// By cell of the core: below, the other cell; above, the share of draws that stay, of 2^16.
@@ -39,6 +50,8 @@ pub(super) struct Spread {
     /// By cell of the window without its core but its first cell: the other cell, and the share of draws that stay, of 2^32.
     rest: Vec<(u32, u32)>,
     samples: usize,
+    /// Centre of the light in the window, cells from its middle.
+    pub(super) centre: DVec2,
     /// Side of a cell, µm.
     pub(super) pitch_um: f64,
     /// Of the draws outside the core, the share outside the window.
@@ -101,6 +114,7 @@ impl Spread {
             tail: if outside > 0.0 { (tail / outside).min(1.0) } else { 0.0 },
             rest: alias(&mass),
             samples,
+            centre: DVec2::from_array(centre) + 0.5 - 0.5 * samples as f64,
             pitch_um,
             accepted,
         }
@@ -116,18 +130,24 @@ impl Spread {
         std::mem::take(&mut self.core)
     }
 
-    /// An offset outside the core, in cells from the core's first corner.
-    #[cold]
-    pub(super) fn draw_outside(&self, dice: &mut Dice) -> DVec2 {
-        let chance = dice.pair();
-        let offset = if chance.x < self.tail {
-            self.beyond(dice)
+    /// Looks up where a photon outside the core may land: a short step, so that many wait for memory at a time.
+    #[inline]
+    pub(super) fn look_outside(&self, mut dice: Dice) -> Outside {
+        let (bits, tail) = (dice.bits(), above(dice.bits()));
+        let cell = ((bits >> 32) * self.rest.len() as u64) >> 32;
+        let (other, stay) = self.rest[cell as usize];
+        let cell = if (bits as u32) < stay { cell as u32 } else { other };
+        Outside { cell: if tail < self.tail { BEYOND } else { cell }, dice }
+    }
+
+    /// Where it lands, in cells from the core's first corner.
+    #[inline]
+    pub(super) fn place_outside(&self, Outside { cell, mut dice }: Outside) -> DVec2 {
+        let offset = if cell == BEYOND {
+            self.beyond(&mut dice)
         } else {
-            let bits = dice.bits();
-            let cell = (((bits >> 32) * self.rest.len() as u64) >> 32) as usize;
-            let (other, stay) = self.rest[cell];
-            let cell = if (bits as u32) < stay { cell } else { other as usize };
-            let corner = DVec2::new((cell / self.samples) as f64, (cell % self.samples) as f64);
+            let samples = self.samples as u32;
+            let corner = DVec2::new(f64::from(cell / samples), f64::from(cell % samples));
             corner + dice.pair() - 0.5 * self.samples as f64
         };
         offset - self.corner()

@@ -3,10 +3,10 @@
 use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 
-use super::dice::{Dice, halves};
+use super::dice::halves;
 use super::landing::Landing;
 use super::list::Wavelengths;
-use super::spread::{OUTSIDE, Spread};
+use super::spread::Spread;
 use crate::experiment::Experiment;
 use crate::exposure::cones::{ConeTable, MappedCone};
 use crate::exposure::inputs::Inputs;
@@ -19,16 +19,18 @@ use crate::retina::{ConeIndex, Origin};
 
 /// Steps of eccentricity between which weights are interpolated.
 pub(super) const ECC_STEPS: usize = 32;
-/// Largest distance of field nodes, visual degrees, for targets down to 0.5 % and below.
-const NODE_DEG: [f64; 2] = [0.7, 0.35];
+/// Largest distance of field nodes, µm (0.7°).
+pub(crate) const NODE_UM: f64 = 200.0;
 
 /// 2^-16: a place in a cell is a whole number of 16 bits.
 const PART: f64 = 1.0 / 65_536.0;
 
 /// Optics at one field node and wavelength, what every photon asks of it.
 #[derive(Clone, Copy)]
-struct Node {
-    /// From the landing point at the reference wavelength to the first corner of the point spread's core, bins of the cones' index.
+pub(super) struct Node {
+    /// From the landing point at the reference wavelength to that at this one, bins of the cones' index.
+    shift: [f32; 2],
+    /// From there to the first corner of the point spread's core.
     corner: [f32; 2],
     /// Bins from one of the parts of a cell to the next, by row and by column.
     by_row: [f32; 2],
@@ -59,8 +61,9 @@ pub(super) struct Field {
 /// One cone's place among the weights.
 #[derive(Clone, Copy)]
 struct Cone {
-    kind: u32,
-    below: u32,
+    /// Of the step of eccentricity below and its kind, in the weights one after the other.
+    weight: u32,
+    /// How far it is to the next step.
     t: f32,
     pointing: f32,
 }
@@ -70,12 +73,13 @@ impl Cone {
     fn new(cone: &MappedCone, [from, to]: [f64; 2]) -> Self {
         let at = ((cone.ecc_deg - from) / (to - from).max(1e-12)).clamp(0.0, 1.0) * ECC_STEPS as f64;
         let below = (at as usize).min(ECC_STEPS - 1);
-        let (kind, pointing) = (cone.cone_type as u32, cone.pointing as f32);
-        Self { kind, below: below as u32, t: (at - below as f64) as f32, pointing }
+        let weight = below * KINDS.len() + cone.cone_type as usize;
+        Self { weight: weight as u32, t: (at - below as f64) as f32, pointing: cone.pointing as f32 }
     }
 
     fn caught(self) -> Caught {
-        Caught { kind: self.kind as usize, below: self.below as usize, t: self.t }
+        let weight = self.weight as usize;
+        Caught { kind: weight % KINDS.len(), below: weight / KINDS.len(), t: self.t }
     }
 }
 
@@ -86,10 +90,17 @@ pub(super) struct Caught {
     pub(super) t: f32,
 }
 
+/// The core of a node's point spread.
+#[derive(Clone, Copy)]
+pub(super) struct Core<'a> {
+    pub(super) node: &'a Node,
+    cells: &'a [u32],
+}
+
 /// What becomes of a drawn photon that has landed on a cone.
 pub(super) struct Odds {
-    /// Probability that it is counted, of 2^32.
-    pub(super) counted: u32,
+    /// Probability that it is counted.
+    pub(super) counted: f32,
     /// Arriving photons it stands for.
     pub(super) arrived: f32,
     /// Of those, the guided ones.
@@ -171,8 +182,7 @@ impl Tables {
         let [from, to] = landing.bounds();
         let (low, high) = (landing.um(from), landing.um(to));
         let (min, max) = (low.min(high).max(retina.region.min), low.max(high).min(retina.region.max));
-        let finest = NODE_DEG[usize::from(experiment.accuracy_target < 0.005)] * 287.0;
-        let side = [0, 1].map(|axis| ((max[axis] - min[axis]).max(0.0) / finest).ceil() as usize + 1);
+        let side = [0, 1].map(|axis| ((max[axis] - min[axis]).max(0.0) / NODE_UM).ceil() as usize + 1);
         let step_um =
             DVec2::from_array([0, 1].map(|axis| (max[axis] - min[axis]) / (side[axis] - 1).max(1) as f64));
         let nodes = trace(projection, spec, (min, step_um, side), index.per_um())?;
@@ -271,45 +281,54 @@ impl Field {
     }
 }
 
-impl Beam<'_> {
-    /// What the core of a node's point spread holds for a photon's bits.
-    #[inline]
-    pub(super) fn held(&self, node: u32, bits: u32) -> u32 {
-        let node = &self.nodes.places[node as usize];
-        self.nodes.cores[(node.core + node.entry(bits)) as usize]
-    }
-
-    /// Where a photon lands and whether in the core, from where its chief ray at the reference wavelength does, for its bits and what the core
-    /// holds for them.
-    #[inline]
-    pub(super) fn landed(
-        &self,
-        node: u32,
-        seen: [f32; 2],
-        (bits, held, jitter): (u32, u32, u32),
-    ) -> ([f32; 2], bool) {
-        let node = &self.nodes.places[node as usize];
-        let cell = if bits >> 16 < held >> 16 { node.entry(bits) } else { held & 0xFFFF };
-        let jitter = halves(jitter);
-        let [row, column] = [cell >> node.bits, cell & ((1 << node.bits) - 1)];
-        // 7 and 16 bits: whole in single precision.
-        let [row, column] =
-            [(row << 16) | jitter[0], (column << 16) | jitter[1]].map(|parts| parts as i32 as f32);
-        let along = |axis: usize| {
-            seen[axis] + node.corner[axis] + node.by_row[axis] * row + node.by_column[axis] * column
+impl Field {
+    /// The nodes around a place with their bilinear weights, more than one time each at the ends.
+    pub(super) fn around(&self, at: [f32; 2]) -> [(u32, f32); 4] {
+        let [x, y] = [0, 1].map(|axis| {
+            let place = within(self.from[axis] + at[axis] * self.per_bin[axis], self.last[axis]);
+            let below = place as i32 as f32;
+            [(below, 1.0 - (place - below)), (within(below + 1.0, self.last[axis]), place - below)]
+        });
+        let node = |row: (f32, f32), column: (f32, f32)| {
+            (row.0 as u32 * self.across + column.0 as u32, row.1 * column.1)
         };
-        ([along(0), along(1)], cell != OUTSIDE)
+        [node(y[0], x[0]), node(y[0], x[1]), node(y[1], x[0]), node(y[1], x[1])]
     }
 
-    /// Where a photon outside the core lands.
-    #[cold]
-    pub(super) fn landed_outside(&self, node: u32, seen: [f32; 2], dice: &mut Dice) -> [f32; 2] {
-        let offset = self.nodes.spreads[node as usize].draw_outside(dice) / PART;
+    /// How much of the distance between nodes a length is, along the axis where it is more.
+    pub(super) fn part(&self, bins: [f32; 2]) -> f32 {
+        (bins[0] * self.per_bin[0]).abs().max((bins[1] * self.per_bin[1]).abs())
+    }
+}
+
+impl Beam<'_> {
+    /// A node's point spread where nearly all light is.
+    #[inline]
+    pub(super) fn core(&self, node: u32) -> Core<'_> {
         let node = &self.nodes.places[node as usize];
-        let [row, column] = offset.as_vec2().to_array();
-        [0, 1].map(|axis| {
-            seen[axis] + node.corner[axis] + node.by_row[axis] * row + node.by_column[axis] * column
-        })
+        Core { node, cells: &self.nodes.cores[node.core as usize..][..1 << (2 * node.bits)] }
+    }
+
+    /// From the landing point at the reference wavelength to that at this one, for a chief ray that lands at a place: bilinear between nodes.
+    pub(super) fn shift(&self, field: &Field, at: [f32; 2]) -> [f32; 2] {
+        let mut sum = [0.0; 2];
+        for (node, weight) in field.around(at) {
+            let shift = self.nodes.places[node as usize].shift;
+            sum = [sum[0] + weight * shift[0], sum[1] + weight * shift[1]];
+        }
+        sum
+    }
+
+    /// A node's point spread outside its core.
+    #[inline]
+    pub(super) fn outside(&self, node: u32) -> &Spread {
+        &self.nodes.spreads[node as usize]
+    }
+
+    /// Where a photon lands that is so many cells from the core's first corner.
+    #[inline]
+    pub(super) fn landed_outside(&self, node: u32, seen: [f32; 2], cells: DVec2) -> [f32; 2] {
+        self.nodes.places[node as usize].at(seen, (cells / PART).as_vec2().to_array())
     }
 
     /// Which weights a cone counts with.
@@ -320,13 +339,25 @@ impl Beam<'_> {
     /// What a cone does with a drawn photon that has landed on it.
     #[inline]
     pub(super) fn odds(&self, cone: u32, node: u32) -> Odds {
-        let Cone { kind, below, t, pointing } = self.cones[cone as usize];
+        let Cone { weight, t, pointing } = self.cones[cone as usize];
         let per_weight = self.per_weight[node as usize];
-        let (low, high) = (&self.weights[below as usize], &self.weights[below as usize + 1]);
-        let at = |kind: usize| (low[kind] + (high[kind] - low[kind]) * t) * per_weight;
-        let arrived = at(ARRIVING);
-        let counted = at(kind as usize) * pointing;
-        Odds { counted: (counted * 4_294_967_296.0) as u32, arrived, guided: arrived * pointing }
+        let weights = self.weights.as_flattened();
+        // Never more, which spares looking at the end of the table.
+        let weight = weight as usize % (ECC_STEPS * KINDS.len());
+        let at = |low: usize| {
+            let (low, high) = (weights[low], weights[low + KINDS.len()]);
+            (low + (high - low) * t) * per_weight
+        };
+        let arrived = at(weight / KINDS.len() * KINDS.len() + ARRIVING);
+        Odds { counted: at(weight) * pointing, arrived, guided: arrived * pointing }
+    }
+}
+
+impl Core<'_> {
+    /// What it holds for a photon's bits.
+    #[inline]
+    pub(super) fn held(self, bits: u32) -> u32 {
+        self.cells[self.node.entry(bits) as usize]
     }
 }
 
@@ -335,9 +366,12 @@ impl Node {
     fn new(shift: DVec2, step: DMat2, spread: &Spread) -> Self {
         let [by_row, by_column] = [step.x_axis, step.y_axis].map(|step| step * PART);
         // A place of 16 bits is the middle of its part.
-        let corner = shift + step * spread.corner() + 0.5 * (by_row + by_column);
+        // Point spreads are blended where their light is, so that what differs between nodes is their form alone.
+        let centre = step * spread.centre;
+        let (shift, corner) = (shift + centre, step * spread.corner() - centre + 0.5 * (by_row + by_column));
         let single = |v: DVec2| v.as_vec2().to_array();
         Self {
+            shift: single(shift),
             corner: single(corner),
             by_row: single(by_row),
             by_column: single(by_column),
@@ -347,9 +381,28 @@ impl Node {
     }
 
     /// The entry of the core for a photon's bits.
-    #[inline]
+    #[inline(always)]
     fn entry(&self, bits: u32) -> u32 {
         bits & ((1 << (2 * self.bits)) - 1)
+    }
+
+    /// The cell in which a photon lands, from where its chief ray does, for its bits and what the core holds for them, and where.
+    #[inline(always)]
+    pub(super) fn landed(&self, seen: [f32; 2], (bits, held, jitter): (u32, u32, u32)) -> (u32, [f32; 2]) {
+        let cell = if bits >> 16 < held >> 16 { self.entry(bits) } else { held & 0xFFFF };
+        let jitter = halves(jitter);
+        let [row, column] = [cell >> self.bits, cell & ((1 << self.bits) - 1)];
+        // 7 and 16 bits: whole in single precision.
+        let parts = [(row << 16) | jitter[0], (column << 16) | jitter[1]].map(|parts| parts as i32 as f32);
+        (cell, self.at(seen, parts))
+    }
+
+    /// A place in parts of cells from the core's corner.
+    #[inline(always)]
+    fn at(&self, seen: [f32; 2], [row, column]: [f32; 2]) -> [f32; 2] {
+        [0, 1].map(|axis| {
+            seen[axis] + self.corner[axis] + self.by_row[axis] * row + self.by_column[axis] * column
+        })
     }
 }
 
