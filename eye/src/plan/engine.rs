@@ -16,7 +16,7 @@ const DRAWN_SHARE: f64 = 0.15;
 /// Share of a white screen's light in a picture, about.
 const LIT_SHARE: f64 = 0.5;
 /// CPU seconds of one table to draw from, 3 mm pupil.
-const SECONDS_PER_TABLE: f64 = 4e-3;
+const SECONDS_PER_TABLE: f64 = 1.5e-3;
 /// CPU seconds of one piece of work, a block of 64 pixels near one wavelength of one primary.
 const SECONDS_PER_PIECE: f64 = 0.5e-6;
 /// CPU seconds of one pixel's place on the retina.

@@ -389,6 +389,8 @@ mod tests {
         let line = [DVec2::new(-0.5, 0.25), DVec2::new(1.5, -0.75)];
         let straight = Straight::new((um, by), &emitter, line, (&index, origin)).unwrap();
         let words = Words { key: 11 };
+        // That of another wavelength, linear over the pixel.
+        let shift = |at: [f32; 2]| [0.5 + 0.01 * at[0], -0.25 + 0.004 * at[0] - 0.02 * at[1]];
         for photon in 0..1_000 {
             let (bits, time) = (words.of(photon, 0) as u32, words.of(photon, 2) as u32);
             let px = place(&emitter, bits, words, photon) - line[0].lerp(line[1], unit(time));
@@ -396,6 +398,9 @@ mod tests {
             let seen = straight.seen(bits, time);
             let apart = (exact - DVec2::new(f64::from(seen[0]), f64::from(seen[1]))).abs().max_element();
             assert!(apart < 1e-4, "{exact} {seen:?}");
+            let shifted = straight.shifted(shift).seen(bits, time);
+            let by = shift(seen);
+            assert!((0..2).all(|axis| (shifted[axis] - seen[axis] - by[axis]).abs() < 1e-4), "{shifted:?}");
         }
         emitter.spot_sd_px = 0.1;
         assert!(Straight::new((um, by), &emitter, line, (&index, origin)).is_none());

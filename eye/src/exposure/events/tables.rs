@@ -470,10 +470,16 @@ mod tests {
             for photon in 0..DRAWS {
                 drawn[field.node(at, words.of(photon, 0) as u32) as usize] += 1.0;
             }
+            let hat = |x: f64, node: usize| (1.0 - (x - node as f64).abs()).max(0.0);
+            let weight = |node: usize| hat(x, node % 3) * hat(y, node / 3);
+            let mut around = [0.0; 12];
+            for (node, weight) in field.around(at) {
+                around[node as usize] += f64::from(weight);
+            }
+            assert!((0..12).all(|node| (around[node] - weight(node)).abs() < 1e-6), "{around:?}");
             let chi2: f64 = (0..12)
                 .map(|node| {
-                    let hat = |x: f64, node: usize| (1.0 - (x - node as f64).abs()).max(0.0);
-                    let mean = hat(x, node % 3) * hat(y, node / 3) * DRAWS as f64;
+                    let mean = weight(node) * DRAWS as f64;
                     let off: f64 = drawn[node] - mean;
                     if mean < 1e-9 { off * 1e9 } else { off * off / mean }
                 })
