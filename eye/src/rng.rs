@@ -121,7 +121,7 @@ pub fn mixed(key: u64, counter: u64) -> u64 {
 }
 
 /// The finalizer of [`mixed`].
-#[inline(always)]
+#[inline]
 pub fn finalized(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);

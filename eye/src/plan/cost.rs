@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::PlannedTile;
 use super::engine::IMAGES;
 use super::setup::Setup;
-use crate::experiment::Experiment;
+use crate::experiment::{Engine, Experiment};
 use crate::exposure::padua::FieldNodes;
 use crate::exposure::spectral::KINDS;
 use crate::exposure::{KernelSpec, PolarShape, TABLE_TOLERANCE, TRANSFER_BLOCK};
@@ -132,7 +132,10 @@ pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], ma
     let primaries = super::lit::computed_primaries(experiment) as f64;
     let counting = super::engine::cost(experiment.counts.engine, experiment, setup, tiles, cones);
     let cones_bytes = cones * BYTES_PER_CONE;
-    let images_bytes = samples * IMAGES * (2.0 * primaries + 4.0) + 4.0 * samples * 16.0;
+    let images_bytes = match experiment.counts.engine {
+        Engine::Events => super::engine::table_bytes(experiment, setup, tiles),
+        _ => samples * IMAGES * (2.0 * primaries + 4.0) + 4.0 * samples * 16.0,
+    };
     let stages = Stages {
         mosaic: machine.mosaic * built * SECONDS_PER_CONE,
         optics: machine.optics * optics,

@@ -8,6 +8,7 @@
 use super::setup::{Setup, UM_PER_TANGENT, cutoff, setup};
 use super::{Numerics, PlanError, PlannedTile, lit_wavelengths, planned_tiles};
 use crate::experiment::{Engine, Experiment, RangeError};
+use crate::exposure::EVENTS_NODE_UM;
 
 /// CPU seconds per drawn photon of the `events` engine.
 const SECONDS_PER_EVENT: f64 = 25e-9;
@@ -15,8 +16,10 @@ const SECONDS_PER_EVENT: f64 = 25e-9;
 const DRAWN_SHARE: f64 = 0.15;
 /// Share of a white screen's light in a picture, about.
 const LIT_SHARE: f64 = 0.5;
-/// CPU seconds of one table to draw from, 3 mm pupil.
+/// CPU seconds and bytes of one table to draw from, 3 mm pupil, and the powers of the pupil with which they grow.
 const SECONDS_PER_TABLE: f64 = 1.5e-3;
+const BYTES_PER_TABLE: f64 = 200e3;
+const TABLE_POWERS: [i32; 2] = [5, 3];
 /// CPU seconds of one piece of work, a block of 64 pixels near one wavelength of one primary.
 const SECONDS_PER_PIECE: f64 = 0.5e-6;
 /// CPU seconds of one pixel's place on the retina.
@@ -172,8 +175,6 @@ pub(super) fn cost(
     tiles: &[PlannedTile],
     cones: f64,
 ) -> EngineCost {
-    let size = setup.region.max - setup.region.min;
-    let nodes = |um: f64| (size.x / um + 2.0) * (size.y / um + 2.0);
     let waves = tiles.first().map_or(0, |t| t.kernels.nodes_nm.len()) as f64;
     let ready = cones * SECONDS_PER_READY_CONE;
     match engine {
@@ -190,12 +191,12 @@ pub(super) fn cost(
             }
         }
         Engine::Events => {
-            let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0).powi(4);
+            let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0).powi(TABLE_POWERS[0]);
             let pixels = pixels_of(tiles);
             let layers = super::lit::computed_primaries(experiment) as f64;
             let drawn = photons_per_pixel(experiment) * pixels * DRAWN_SHARE;
             EngineCost {
-                prepare: ready + nodes(crate::exposure::EVENTS_NODE_UM) * waves * SECONDS_PER_TABLE * pupil,
+                prepare: ready + nodes(setup, EVENTS_NODE_UM) * waves * SECONDS_PER_TABLE * pupil,
                 frame: drawn * SECONDS_PER_EVENT
                     + pixels * layers * (SECONDS_PER_PLACE + waves / 64.0 * SECONDS_PER_PIECE)
                     + cones * SECONDS_PER_COUNT,
@@ -207,11 +208,24 @@ pub(super) fn cost(
             let display = &experiment.display;
             let pixels = f64::from(display.width_px) * f64::from(display.height_px);
             EngineCost {
-                prepare: nodes(300.0) * waves * SECONDS_PER_SPREAD * rays * side * side,
+                prepare: nodes(setup, 300.0) * waves * SECONDS_PER_SPREAD * rays * side * side,
                 frame: photons_per_pixel(experiment) * pixels * SECONDS_PER_PHOTON,
             }
         }
     }
+}
+
+/// Field nodes of a patch at a distance, about.
+fn nodes(setup: &Setup, um: f64) -> f64 {
+    let size = setup.region.max - setup.region.min;
+    (size.x / um + 2.0) * (size.y / um + 2.0)
+}
+
+/// Bytes of the tables of `events`.
+pub(super) fn table_bytes(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile]) -> f64 {
+    let waves = tiles.first().map_or(0, |t| t.kernels.nodes_nm.len()) as f64;
+    let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0).powi(TABLE_POWERS[1]);
+    nodes(setup, EVENTS_NODE_UM) * waves * BYTES_PER_TABLE * pupil
 }
 
 /// Pixels of all windows.

@@ -283,7 +283,7 @@ impl ConeIndex {
 
 impl Place {
     /// Both coordinates.
-    #[inline(always)]
+    #[inline]
     fn parts(self) -> [i32; 2] {
         [self.0 & 0xFFFF, self.0 >> 16].map(|part| part as i32)
     }
@@ -299,7 +299,7 @@ impl Place {
 
 impl Raster {
     /// Where in memory the bin of a column and row is.
-    #[inline(always)]
+    #[inline]
     fn number(self, column: u32, row: u32) -> u32 {
         // Wraps for bins that are not there.
         let square = (row / SQUARE).wrapping_mul(self.squares).wrapping_add(column / SQUARE);
@@ -315,16 +315,16 @@ impl Raster {
     }
 
     /// The bin in a column and row.
-    #[inline(always)]
+    #[inline]
     fn bin(self, column: i32, row: i32) -> u32 {
         let (column, row) = (column as u32, row as u32);
-        let there = (column < self.side[0]) & (row < self.side[1]);
+        let there = column < self.side[0] && row < self.side[1];
         let number = self.number(column, row);
         if there { number } else { self.nowhere }
     }
 
     /// The bin of a point in bins from an origin, and its place in the bin.
-    #[inline(always)]
+    #[inline]
     pub(crate) fn place_near(self, origin: Origin, at: [f32; 2]) -> (u32, Place) {
         // Whole numbers by adding one so large that nothing else has place beside them: a conversion is not made for several at once.
         // Far points stay outside: an origin is in the raster.
@@ -385,7 +385,7 @@ impl Bin {
     }
 
     /// What it says of a place in it. Which answer it is is chance: no branch.
-    #[inline(always)]
+    #[inline]
     fn answer(&self, place: Place) -> u32 {
         let [x, y] = place.parts();
         let holds = |half: usize| {

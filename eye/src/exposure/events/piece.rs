@@ -193,7 +193,7 @@ impl Straight {
         shifted.from = [0, 1].map(|axis| self.from[axis] + first[axis]);
         for (edge, end) in [&mut shifted.across, &mut shifted.down, &mut shifted.during].into_iter().zip(ENDS)
         {
-            if *edge != [0.0; 2] {
+            if !is_none(*edge) {
                 let there = by([0, 1].map(|axis| self.from[axis] + edge[axis] * end));
                 *edge = [0, 1].map(|axis| edge[axis] + (there[axis] - first[axis]) / end);
             }
@@ -215,7 +215,7 @@ impl Straight {
     }
 
     /// Where a photon is seen.
-    #[inline(always)]
+    #[inline]
     fn seen(&self, place: u32, time: u32) -> [f32; 2] {
         let [across, down] = halves(place).map(|part| part as i32 as f32);
         let time = (time >> 1) as i32 as f32;
@@ -223,6 +223,11 @@ impl Straight {
             self.from[axis] + self.across[axis] * across + self.down[axis] * down + self.during[axis] * time
         })
     }
+}
+
+/// Whether a change is none.
+fn is_none(by: [f32; 2]) -> bool {
+    by.iter().all(|by| *by == 0.0)
 }
 
 /// Where photons of one pixel are seen.
@@ -260,7 +265,7 @@ impl<'a> Piece<'a> {
                 nodes
             })
         });
-        let still = straight.iter().flatten().all(|pixel| pixel.during == [0.0; 2]);
+        let still = straight.iter().flatten().all(|pixel| is_none(pixel.during));
         Self { emitter, sight, block, straight, nodes, still, index, origin, field }
     }
 

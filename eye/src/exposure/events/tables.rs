@@ -381,13 +381,13 @@ impl Node {
     }
 
     /// The entry of the core for a photon's bits.
-    #[inline(always)]
+    #[inline]
     fn entry(&self, bits: u32) -> u32 {
         bits & ((1 << (2 * self.bits)) - 1)
     }
 
     /// The cell in which a photon lands, from where its chief ray does, for its bits and what the core holds for them, and where.
-    #[inline(always)]
+    #[inline]
     pub(super) fn landed(&self, seen: [f32; 2], (bits, held, jitter): (u32, u32, u32)) -> (u32, [f32; 2]) {
         let cell = if bits >> 16 < held >> 16 { self.entry(bits) } else { held & 0xFFFF };
         let jitter = halves(jitter);
@@ -398,7 +398,7 @@ impl Node {
     }
 
     /// A place in parts of cells from the core's corner.
-    #[inline(always)]
+    #[inline]
     fn at(&self, seen: [f32; 2], [row, column]: [f32; 2]) -> [f32; 2] {
         [0, 1].map(|axis| {
             seen[axis] + self.corner[axis] + self.by_row[axis] * row + self.by_column[axis] * column
