@@ -44,11 +44,11 @@ const SPREAD: f64 = 2.0;
 /// Error of sums in single precision.
 const SINGLE: f64 = 2e-6;
 
-/// Error of the means of `events`: of tables to draw from, blended between nodes, which grows with the cube of the pupil, and of wavelengths
-/// 10 nm apart of which each photon has one, which gains the square of the step. The squares of Figure 12 against `expected` at 1e-4, chance
-/// taken off: 6e-4, 9e-4 and 2.0e-3 at 5, 10 and 20 nm and 3 mm, 1.8e-3 at 10 nm and 4 mm, 2.7e-3, 3.4e-3 and 4.5e-3 at 6 mm.
-const TABLES: f64 = 5e-4;
-const DRAWN_STEP_10_NM: f64 = 4e-4;
+/// Error of the means of `events`: of tables to draw from, blended between nodes, which is taken to grow with the cube of the pupil, and of
+/// wavelengths 10 nm apart of which each photon has one, which gains the square of the step. The squares of Figure 12, an eye at rest, 3 mm, against
+/// `expected` at 1e-4, chance taken off: 1.5e-3, 1.8e-3 and 3.4e-3 at 5, 10 and 15 nm.
+const TABLES: f64 = 1.3e-3;
+const DRAWN_STEP_10_NM: f64 = 9e-4;
 
 /// Part of a spread's light farther from its middle than a distance (µm).
 pub fn tail_beyond(experiment: &Experiment, um: f64) -> f64 {
