@@ -1,5 +1,5 @@
-//! The numerical settings of `expected` and, where it has any, of `events`: what an accuracy target asks for, or what is fixed by hand. The only place where they are chosen;
-//! docs/adr/0007 has the measurements.
+//! The numerical settings of `expected`, and the wavelengths of `events`: what an accuracy target asks for, or what is fixed by hand. The only
+//! place where they are chosen; docs/adr/0007 has the measurements.
 
 use serde::{Deserialize, Serialize};
 

@@ -243,11 +243,6 @@ impl ConeIndex {
         (self.answer((answer & !MORE) + quarter, place), place)
     }
 
-    /// Asks more of a quarter of a bin: the cone, if any.
-    pub(crate) fn listed(&self, answer: u32, place: Place) -> Option<u32> {
-        self.walk(answer & !(MORE | LIST), place)
-    }
-
     /// The cone that an answer means for a place in its bin.
     #[inline]
     pub(crate) fn cone(&self, answer: u32, place: Place) -> Option<u32> {
@@ -260,8 +255,9 @@ impl ConeIndex {
         }
     }
 
-    /// The first aperture in a list of walls that holds a place.
-    fn walk(&self, first: u32, place: Place) -> Option<u32> {
+    /// Asks more of a quarter of a bin: the first aperture in its list of walls that holds a place.
+    pub(crate) fn listed(&self, answer: u32, place: Place) -> Option<u32> {
+        let first = answer & !(MORE | LIST);
         let [x, y] = place.parts().map(|part| part as f32 / PARTS);
         let mut inside = true;
         for wall in &self.walls[first as usize..] {

@@ -279,9 +279,7 @@ impl Field {
         };
         along(1) * self.across + along(0)
     }
-}
 
-impl Field {
     /// The nodes around a place with their bilinear weights, more than one time each at the ends.
     pub(super) fn around(&self, at: [f32; 2]) -> [(u32, f32); 4] {
         let [x, y] = [0, 1].map(|axis| {
