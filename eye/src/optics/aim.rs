@@ -149,6 +149,11 @@ impl<'a> Aimer<'a> {
         Some(uv)
     }
 
+    /// Launch point of the ray through `target` of the stop, from a nearby one.
+    pub(super) fn through(&self, target: DVec2, start: DVec2) -> Option<DVec2> {
+        self.newton(target, start)
+    }
+
     /// The ray that meets the stop at `target`, by Broyden's method from a nearby launch point with its inverse
     /// slope, which is improved on the way; by Newton's when that does not settle.
     pub(super) fn near(&self, target: DVec2, start: Launch) -> Option<Aimed> {

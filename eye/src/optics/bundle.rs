@@ -266,7 +266,7 @@ impl Tracer<'_> {
     /// A measured wavefront error at a place of the stop, mm of air; 0 at its centre.
     fn extra_mm(&self, stop: DVec2) -> f64 {
         let Some((eye, wavefront)) = self.aimer.extra() else { return 0.0 };
-        let radius_mm = eye.stop_radius_mm() * eye.stop_magnification();
+        let radius_mm = eye.entrance_radius_mm();
         let at = |p: DVec2| wavefront.error_um(eye.state().side, p * radius_mm);
         1e-3 * (at(stop) - at(DVec2::ZERO))
     }

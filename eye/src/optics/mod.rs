@@ -8,6 +8,8 @@
 
 pub mod accommodation;
 pub mod aim;
+pub mod beam;
+pub mod beam_field;
 pub mod bundle;
 pub mod cardinal;
 pub mod dispersion;
@@ -29,6 +31,7 @@ pub mod toric;
 pub mod trace;
 pub mod zernike;
 
+pub use beam_field::BeamField;
 pub use bundle::{PupilBundle, PupilNodes, PupilRay};
 pub use cardinal::Cardinal;
 pub use dispersion::Dispersion;

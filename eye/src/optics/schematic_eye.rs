@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize};
 /// What changes from moment to moment, or from question to question.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EyeState {
-    /// Entrance pupil diameter, mm, 0.5 to 9; the stop is smaller by the magnification of the unaccommodated eye at its
-    /// reference wavelength (1.1334061 in the wide-angle eye), at every wavelength.
+    /// Entrance pupil diameter as seen along the line of sight from afar, mm, 0.5 to 9: the stop is such that the beam of
+    /// parallel light from there has the area π d²/4 at the reference wavelength ([`super::beam`]).
     pub pupil_mm: f64,
     /// Decentre of the stop towards −y (nasal pupil), mm, −1 to 1.
     pub decentre_mm: f64,
@@ -70,6 +70,18 @@ impl SchematicEye {
     /// [`OpticsError::OutOfRange`] names the field; [`OpticsError::NoRay`] when no chief ray reaches the retina.
     pub fn new(p: &Prescription, s: &EyeState) -> Result<Self, OpticsError> {
         p.validate()?;
+        let stop_magnification = Self::relaxed_magnification(p, s);
+        Self::with_stop(p, s, s.pupil_mm / stop_magnification)?.with_pupil(s.pupil_mm)
+    }
+
+    /// The same eye with a stop of a given diameter (mm), whatever entrance pupil that gives: for comparison with packages in
+    /// which the stop's size is an input. `pupil_mm` of the state still scales what is given over the entrance pupil (the
+    /// Stiles-Crawford effect, a measured wavefront).
+    ///
+    /// # Errors
+    /// As [`SchematicEye::new`].
+    pub fn with_stop(p: &Prescription, s: &EyeState, stop_mm: f64) -> Result<Self, OpticsError> {
+        p.validate()?;
         in_range("pupil_mm", s.pupil_mm, 0.5, 9.0)?;
         in_range("decentre_mm", s.decentre_mm, -1.0, 1.0)?;
         let law = p.accommodation;
@@ -85,8 +97,8 @@ impl SchematicEye {
         in_range("aqueous depth, accommodated (mm)", depth, 0.5, 7.0)?;
         in_range("lens thickness, accommodated (mm)", thickness, 0.5, 9.0)?;
         let stop_magnification = Self::relaxed_magnification(p, s);
-        let eye = Self::build(p, s, s.pupil_mm / stop_magnification / 2.0, stop_magnification);
-        eye.at_distance(f64::INFINITY)
+        in_range("stop diameter (mm)", stop_mm, 0.1, 10.0)?;
+        Self::build(p, s, 0.5 * stop_mm, stop_magnification).at_distance(f64::INFINITY)
     }
 
     /// The same eye with its foveal centre defined by an object at `distance_mm` from the corneal apex (50 mm to ∞).
@@ -194,7 +206,12 @@ impl SchematicEye {
         self.stop_radius_mm
     }
 
-    /// Entrance pupil diameter / stop diameter (unaccommodated, reference wavelength).
+    /// Radius of the entrance pupil as seen along the line of sight, mm: what a place at the rim of the stop is at.
+    pub fn entrance_radius_mm(&self) -> f64 {
+        0.5 * self.state.pupil_mm
+    }
+
+    /// Paraxial entrance pupil diameter / stop diameter (unaccommodated, reference wavelength).
     pub fn stop_magnification(&self) -> f64 {
         self.stop_magnification
     }

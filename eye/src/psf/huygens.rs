@@ -94,7 +94,7 @@ pub(super) fn weights(
     options: &WavefrontOptions,
 ) -> Result<Vec<f64>, OpticsError> {
     let rho = options.stiles_crawford.map_or(0.0, |s| s.rho_base10_per_mm2);
-    let entrance_mm = eye.stop_radius_mm() * eye.stop_magnification();
+    let entrance_mm = eye.entrance_radius_mm();
     let mut weights: Vec<f64> = bundle
         .rays
         .iter()

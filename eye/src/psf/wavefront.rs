@@ -336,7 +336,7 @@ impl Fitted {
         let (launch_x, launch_y) =
             (design.fit(rays().map(|r| r.launch.x)), design.fit(rays().map(|r| r.launch.y)));
         let per_s = Jacobians::new([&stop_x, &stop_y, &launch_x, &launch_y]);
-        let entrance_mm = eye.stop_radius_mm() * eye.stop_magnification();
+        let entrance_mm = eye.entrance_radius_mm();
         let (mut flux, mut sum, mut open, mut kept) = (0.0, 0.0, 0.0, 0.0);
         // Light that the cones accept, its paths in cornea and lens, and the square of the last.
         let (mut accepted, mut cornea, mut lens, mut square) = (0.0, 0.0, 0.0, 0.0);

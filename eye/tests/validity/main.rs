@@ -1,0 +1,5 @@
+//! The model against independent references: each file computes a quantity a second time, slowly and readably, from the eye's
+//! data and traced rays or from a published law, and holds the model to it. `docs/validation.md` lists the results.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests fail by panicking and print what they find")]
+
+mod pupil;
