@@ -92,8 +92,8 @@ impl ArtifactSpec {
     fn version(&self) -> u32 {
         match self {
             Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 2,
-            Self::Wavefronts(_) => 3,
-            Self::Kernels(_) => 11,
+            Self::Wavefronts(_) => 4,
+            Self::Kernels(_) => 12,
         }
     }
 

@@ -8,9 +8,6 @@ use super::{Channel, Display, EmissionLaw, Waveform, White};
 use crate::photometry::{luminous_flux_per_power, photons_per_joule};
 use crate::spectrum::Spectrum;
 
-/// Distance of the entrance pupil behind the corneal apex, cm; only the solid angle of the pupil uses it.
-const ENTRANCE_PUPIL_CM: f64 = 0.304;
-
 /// Photons of one wavelength from one fully driven pixel in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PhotonSample {
@@ -90,10 +87,11 @@ pub fn photon_shares(spectra: &[Spectrum]) -> Vec<Vec<(f64, f64)>> {
     spectra.iter().map(shares).collect()
 }
 
-/// Share of a pixel's photons that meets the entrance pupil on axis.
+/// Share of a pixel's photons that a pupil of the nominal area takes at the corneal apex on the line of sight. The beam that
+/// enters the eye is less, because the entrance pupil lies behind the apex ([`crate::optics::BeamField`]).
 pub fn pupil_share(display: &Display, pupil_mm: f64) -> f64 {
-    let distance_cm = display.distance_cm + ENTRANCE_PUPIL_CM;
-    pupil_share_at(display.emission_law, std::f64::consts::FRAC_PI_4 * (pupil_mm / 10.0).powi(2), distance_cm)
+    let area_cm2 = std::f64::consts::FRAC_PI_4 * (pupil_mm / 10.0).powi(2);
+    pupil_share_at(display.emission_law, area_cm2, display.distance_cm)
 }
 
 /// Share of the photons of a source that meets an area (cm²) at a distance (cm) on axis.

@@ -36,7 +36,11 @@ impl BasisTable {
                 .collect();
             let mut values = Vec::with_capacity(2 * images * primaries * run.len);
             for (image, primary) in (0..images).flat_map(|image| (0..primaries).map(move |p| (image, p))) {
-                let kernel = shape.read_all(kernels.table(kind, image, primary), &stencils);
+                let mut kernel = shape.read_all(kernels.table(kind, image, primary), &stencils);
+                // A table's directions differ at frequency 0 in the imaginary part, which is none there.
+                if (run.x, run.y) == (0, 0) {
+                    kernel[0].im = 0.0;
+                }
                 values.extend(kernel.iter().map(|z| z.re as f32));
                 values.extend(kernel.iter().map(|z| z.im as f32));
             }

@@ -7,7 +7,7 @@
 use glam::DVec2;
 use multiversion::multiversion;
 
-use super::cones::{ConeTable, slant_factor};
+use super::cones::{ConeTable, entering};
 use super::expected::Means;
 use super::inputs::Inputs;
 use super::light::{Shown, Window, courses};
@@ -61,7 +61,7 @@ impl Ledger {
     /// When the embedded tables cannot be read.
     pub fn new(inputs: &Inputs, primaries: &Primaries, centre_px: [f64; 2]) -> Result<Self, String> {
         let Primaries { kernels, projector } = primaries;
-        let projection = &inputs.projection;
+        let beams = &inputs.beams;
         let absorbers = kernels.spec().absorbers()?;
         let media = &absorbers.media;
         let cornea = |nm: f64| media.cornea(nm, kernels.paths_at(nm).cornea);
@@ -95,7 +95,7 @@ impl Ledger {
                 let from_centre =
                     DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5) - DVec2::from_array(centre_px);
                 let tangent = DVec2::new(from_centre.x, -from_centre.y) * per_px;
-                let slant = slant_factor(display.emission_law, projection, tangent);
+                let slant = entering(display.emission_law, beams, tangent);
                 pixels.push((slant, tangent.length().atan().to_degrees()));
             }
         }

@@ -7,7 +7,7 @@ use super::bounds;
 use super::inputs::Inputs;
 use crate::display::EmissionLaw;
 use crate::experiment::Experiment;
-use crate::optics::{Projection, projection::visual_deg_from_tangent};
+use crate::optics::{BeamField, projection::visual_deg_from_tangent};
 use crate::plan::setup::setup;
 use crate::retina::{ConeType, Retina};
 
@@ -24,8 +24,6 @@ pub struct MappedCone {
     pub cone_type: ConeType,
     /// Factor from its pointing error.
     pub pointing: f64,
-    /// Factor from the slant of screen and pupil, 1 at the gaze centre.
-    pub geometry: f64,
 }
 
 /// The columns of the cone table that users get, in the order of the artifact; one value a cone unless said.
@@ -97,15 +95,19 @@ pub struct ConeTable {
     pub cones: Vec<MappedCone>,
 }
 
-/// Share of the light that a point of a flat screen sends into the pupil, relative to the gaze centre: the screen's emission law,
-/// the squared distance and the pupil's slant.
-pub fn slant_factor(law: EmissionLaw, projection: &Projection, tangent: DVec2) -> f64 {
+/// Irradiance at the corneal apex, across the light, from a point of a flat screen over that from the gaze centre: the screen's
+/// emission law and the squared distance.
+pub fn emission(law: EmissionLaw, tangent: DVec2) -> f64 {
     let cos2 = 1.0 / (1.0 + tangent.length_squared());
-    let emission = match law {
+    match law {
         EmissionLaw::Lambertian => cos2 * cos2.sqrt(),
         EmissionLaw::Uniform => cos2,
-    };
-    emission * projection.cos_angle(tangent) / projection.cos_angle(DVec2::ZERO)
+    }
+}
+
+/// Light that enters the pupil from a point of a flat screen, over that which a pupil of nominal area gets from the gaze centre.
+pub fn entering(law: EmissionLaw, beams: &BeamField, tangent: DVec2) -> f64 {
+    emission(law, tangent) * beams.relative(tangent)
 }
 
 impl ConeTable {
@@ -113,7 +115,7 @@ impl ConeTable {
     ///
     /// # Errors
     /// When a part of the patch does not see the screen.
-    pub fn new(inputs: &Inputs, law: EmissionLaw) -> Result<Self, String> {
+    pub fn new(inputs: &Inputs) -> Result<Self, String> {
         let Inputs { retina, primaries, projection, scene, pointing, .. } = inputs;
         if retina.is_empty() {
             return Ok(Self { cones: Vec::new() });
@@ -137,7 +139,6 @@ impl ConeTable {
                     ecc_deg: tangent.length().atan().to_degrees(),
                     cone_type: retina.cone_type[i],
                     pointing: pointing.as_ref().map_or(1.0, |p| p.factor(f64::from(px).hypot(f64::from(py)))),
-                    geometry: slant_factor(law, projection, tangent),
                 }
             })
             .collect();

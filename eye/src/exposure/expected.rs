@@ -86,11 +86,8 @@ impl Expected {
         let stencils = Stencils::new(&scene, &spread, cones);
         let places: Vec<Vec<f64>> =
             cones.cones.par_iter().map(|c| kernels.weights(c.um, c.ecc_deg)).collect();
-        let receives = |(c, place): (&MappedCone, &Vec<f64>)| {
-            let own = kernels.coefficients_at(ARRIVING, place);
-            own.into_iter().map(|own| own * c.geometry).collect()
-        };
-        let received: Vec<Vec<f64>> = cones.cones.par_iter().zip(&places).map(receives).collect();
+        let received: Vec<Vec<f64>> =
+            places.par_iter().map(|place| kernels.coefficients_at(ARRIVING, place)).collect();
         let sum = |weight: &dyn Fn(&MappedCone) -> f64| {
             let weights: Vec<f64> = cones.cones.iter().map(weight).collect();
             ConeSum::new(&arriving, &received, &weights, &stencils, &band, scene.samples)
@@ -146,9 +143,9 @@ fn coefficients(
         coefficients.par_chunks_mut(images).zip(cones).for_each(|(own_images, (cone, place))| {
             let kind = cone.cone_type as usize;
             if seeing[kind] {
-                let factor = cone.geometry * cone.pointing;
                 let own = kernels.coefficients_at(kind, place);
-                own_images.iter_mut().zip(&own[first..]).for_each(|(to, own)| *to = (own * factor) as f32);
+                let images = own_images.iter_mut().zip(&own[first..]);
+                images.for_each(|(to, own)| *to = (own * cone.pointing) as f32);
             }
         });
         coefficients

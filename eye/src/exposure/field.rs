@@ -7,9 +7,6 @@ use crate::psf::{FieldTable, FieldTableSpec, Wavefront, WavelengthNodes};
 use super::kernel::KernelSpec;
 use super::padua::FieldNodes;
 
-/// Spectra of wavefronts that a field point takes: its own, and four beside it for the density.
-const SPECTRA_PER_POINT: usize = 5;
-
 /// The field of a tile.
 pub struct Field<'a> {
     projection: &'a Projection,
@@ -62,7 +59,7 @@ pub fn table_for(kernels: &[&KernelSpec], projection: &Projection, reach_deg: f6
         let (from, to) = (kernels.nodes_nm.first()?, kernels.nodes_nm.last()?);
         let spectrum = WavelengthNodes::new(projection.eye(), [*from, *to]).nm().len();
         let points: usize = FieldNodes::count(kernels.field_nodes) as usize;
-        Some(SPECTRA_PER_POINT * points * spectrum.min(kernels.nodes_nm.len()))
+        Some(points * spectrum.min(kernels.nodes_nm.len()))
     };
     let saved: usize = kernels.iter().filter_map(traced).sum();
     (spec.traced().ok()? < saved).then_some(spec)

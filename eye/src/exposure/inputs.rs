@@ -9,7 +9,7 @@ use super::source::Projector;
 use crate::cone::directional::Pointing;
 use crate::display::{emitters, pupil_share};
 use crate::experiment::Experiment;
-use crate::optics::{Prescription, Projection};
+use crate::optics::{BeamField, Prescription, Projection};
 use crate::plan::Rule;
 use crate::plan::setup::{Setup, setup};
 use crate::retina::{RegionUm, Retina};
@@ -23,6 +23,8 @@ pub struct Inputs {
     pub retina: Retina,
     /// Screen and retina.
     pub projection: Projection,
+    /// Light that enters the pupil from each point of the screen.
+    pub beams: BeamField,
     /// Window and grid.
     pub scene: Scene,
     /// Whether this is the first result tile: it accounts for the light of the whole screen.
@@ -58,6 +60,7 @@ impl Inputs {
         let (first_tile, tiles) = (setup.tiles.first() == Some(&tile), [number, setup.tiles.len()]);
         let Setup { prescription, projection, gaze, .. } = setup;
         let eye = &experiment.eye;
+        let beams = BeamField::new(&projection).map_err(|e| model(e.to_string()))?;
         let per_radian = mm_per_radian(&projection, &prescription);
         let pointing = Pointing::new(eye.stiles_crawford_rho10_per_mm2, eye.pupil_mm, per_radian);
         let pointing = (!small_pointing(experiment, &pointing)).then_some(pointing);
@@ -73,6 +76,7 @@ impl Inputs {
         Ok(Self {
             retina,
             projection,
+            beams,
             scene,
             first_tile,
             tile: tiles.map(|n| n as u32),

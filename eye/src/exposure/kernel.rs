@@ -3,7 +3,8 @@
 //! For primary k, kind T (isomerized in L, M, S; arriving) and a place on the retina (field point f, eccentricity e):
 //! `K(ν) = Σ_m w_{kTe,m} OTF_f(λ_m, J⁻ᵀν) exp(-2πi J⁻ᵀν·δ_f(λ_m))`, ν in cycles per unit tangent of the screen, J the
 //! magnification (µm per unit tangent) at f, δ the landing point of the chief ray at λ_m from that at 543 nm (transverse chromatic
-//! shift). Between places K is interpolated by Lagrange polynomials over Padua points of the field ([`super::padua`]) and Chebyshev nodes of eccentricity; a low-rank basis then spans all places and
+//! shift); w holds the light that enters the pupil from there. From the kernels of sources follows what a cone at each place collects
+//! ([`super::around`]). Between places that is interpolated by Lagrange polynomials over Padua points of the field ([`super::padua`]) and Chebyshev nodes of eccentricity; a low-rank basis then spans all places and
 //! types of cones ([`super::lowrank`]), so that a cone's mean is a short sum of basis images.
 //!
 //! Absolute: K(0) is the share of photons through the entrance pupil that is counted; nothing is renormalized.
@@ -13,34 +14,35 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
-use super::density::densities;
-use super::field::Field;
-use super::lowrank::{add, compress, compress_together, reduce};
+use super::kernel_build::basis_weights;
+use super::lowrank::{add, reduce};
 use super::padua::FieldNodes;
 use super::polar::PolarShape;
 use super::spectral::{ARRIVING, Absorbers, KINDS, Paths, Share, paths_at};
-use super::transfer::{FieldPoint, Transfer, extent, transfer_table};
 use super::{codec, nodes};
 use crate::cone::pigment::Pigments;
-use crate::display::photon_shares;
+use crate::display::{EmissionLaw, photon_shares};
 use crate::media::Media;
 use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
-use crate::psf::{FieldTable, FieldTableSpec, Wavefront};
+use crate::psf::FieldTableSpec;
 use crate::spectrum::Spectrum;
 
-const MAGIC: [u8; 8] = *b"PEkernl4";
+/// Least half of the side of the rectangle of the field's points, µm.
+const LEAST_HALF_UM: f64 = 60.0;
+
+const MAGIC: [u8; 8] = *b"PEkernl5";
 /// Diameter of the smallest cones, µm: frequencies that such an aperture averages away weigh less in the basis.
-const APERTURE_UM: f64 = 2.0;
+pub(super) const APERTURE_UM: f64 = 2.0;
 /// µm of retina per unit tangent near the fovea, for that weight only.
-const UM_PER_TANGENT: f64 = 16_440.0;
+pub(super) const UM_PER_TANGENT: f64 = 16_440.0;
 /// Tolerance of the basis for arriving photons over that for counts.
-const ARRIVING_TOLERANCE: f64 = 10.0;
+pub(super) const ARRIVING_TOLERANCE: f64 = 10.0;
 /// Interpolation error of the tables over that of the basis: the means feel it less.
 pub const TABLE_TOLERANCE: f64 = 4.0;
 /// How much errors of L, M and S count in their basis, as there are cones; few S cones a little more.
-const SHARES: [f64; ARRIVING] = [0.55, 0.3, 0.15];
+pub(super) const SHARES: [f64; ARRIVING] = [0.55, 0.3, 0.15];
 /// Weight of the mean light against all other frequencies in the basis.
-const MEAN_WEIGHT: f64 = 2.0;
+pub(super) const MEAN_WEIGHT: f64 = 2.0;
 
 /// Inputs of the kernels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,6 +53,8 @@ pub struct KernelSpec {
     pub state: EyeState,
     /// Distance of the screen from the corneal apex, mm.
     pub distance_mm: f64,
+    /// How the screen's light falls with the angle.
+    pub emission_law: EmissionLaw,
     /// Rectangle of the retina, µm: minimum and maximum.
     pub field_um: [DVec2; 2],
     /// Points of the field along each side, see `exposure/padua.rs`.
@@ -83,24 +87,24 @@ pub struct KernelSpec {
 
 /// The kernels of one kind from its basis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct KindBasis {
+pub(super) struct KindBasis {
     /// `[place][r]`, place = field node * eccentricity nodes + eccentricity node.
-    from_basis: Vec<Vec<f64>>,
+    pub(super) from_basis: Vec<Vec<f64>>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Head {
-    spec: KernelSpec,
-    shape: PolarShape,
+pub(super) struct Head {
+    pub(super) spec: KernelSpec,
+    pub(super) shape: PolarShape,
     /// By kind.
-    kinds: Vec<KindBasis>,
+    pub(super) kinds: Vec<KindBasis>,
     /// Kernels of the basis that the types of cones share, and of that for arriving photons.
-    ranks: [usize; 2],
-    basis_error: f64,
+    pub(super) ranks: [usize; 2],
+    pub(super) basis_error: f64,
     /// Mean over the field nodes of the apodized share of the pupil's light.
-    throughput: f64,
+    pub(super) throughput: f64,
     /// `[wavelength]`, mean over the field nodes.
-    paths: Vec<Paths>,
+    pub(super) paths: Vec<Paths>,
 }
 
 /// Which basis a kind's kernels are in.
@@ -109,59 +113,19 @@ fn basis_of(kind: usize) -> usize {
 }
 
 /// Kernels of one kind, `[place][primary·sample]`.
-type PlaceKernels = Vec<Vec<Complex64>>;
-
-/// Transfer tables that are made before they are added up.
-pub const BLOCK: usize = 32;
-
-/// A kernel that is being added up: of one kind, field point and eccentricity.
-struct Place {
-    field: usize,
-    /// `[primary][wavelength]`.
-    weights: Vec<Vec<f64>>,
-    /// `[primary·sample]`.
-    kernel: Vec<Complex64>,
-}
-
-/// Samples of kernels that are added up together.
-const SAMPLES: usize = 1024;
-
-impl Place {
-    /// Adds those of some consecutive transfers (`[field][wavelength]`, the first is number `first`) that are of its field point.
-    fn add(&mut self, first: usize, transfers: &[Transfer], waves: usize) {
-        let own = self.field * waves..(self.field + 1) * waves;
-        let (from, to) = (own.start.max(first), own.end.min(first + transfers.len()));
-        if from >= to {
-            return;
-        }
-        let transfers = &transfers[from - first..to - first];
-        let samples = self.kernel.len() / self.weights.len().max(1);
-        // Some samples at a time: they stay at hand for all transfers and primaries.
-        for at in (0..samples).step_by(SAMPLES) {
-            let some = at..samples.min(at + SAMPLES);
-            for (wave, transfer) in (from - own.start..).zip(transfers) {
-                for (primary, weights) in self.weights.iter().enumerate() {
-                    let kernel = &mut self.kernel[primary * samples..][some.clone()];
-                    if weights[wave] != 0.0 {
-                        add(kernel, &transfer.table[some.clone()], weights[wave]);
-                    }
-                }
-            }
-        }
-    }
-}
+pub(super) type PlaceKernels = Vec<Vec<Complex64>>;
 
 /// Kernels, ready for use.
 #[derive(Clone, Debug)]
 pub struct Kernels {
-    head: Head,
-    field: FieldNodes,
+    pub(super) head: Head,
+    pub(super) field: FieldNodes,
     /// Nodes of the eccentricity, degrees.
-    ecc_deg: Vec<f64>,
+    pub(super) ecc_deg: Vec<f64>,
     /// By primary, of which the tables are.
-    shares: Vec<Vec<Share>>,
+    pub(super) shares: Vec<Vec<Share>>,
     /// `[basis][r][primary][sample]`.
-    tables: [Vec<Vec<Vec<Complex64>>>; 2],
+    pub(super) tables: [Vec<Vec<Vec<Complex64>>>; 2],
 }
 
 /// Primaries that shine together: their numbers, each with its share of their photons.
@@ -195,170 +159,16 @@ impl KernelSpec {
         Projection::new(&eye, self.distance_mm).map_err(|e| e.to_string())
     }
 
-    fn ecc_values(&self) -> Vec<f64> {
+    pub(super) fn ecc_values(&self) -> Vec<f64> {
         nodes::chebyshev(self.ecc_deg[0], self.ecc_deg[1], self.ecc_nodes as usize)
     }
 
-    fn field(&self) -> FieldNodes {
-        FieldNodes::new(self.field_um, self.field_nodes)
+    /// The points of the field: over the cones, and at least so far about their middle that changes can be told.
+    pub(super) fn field(&self) -> FieldNodes {
+        let [min, max] = self.field_um;
+        let (middle, half) = (0.5 * (min + max), (0.5 * (max - min)).max(DVec2::splat(LEAST_HALF_UM)));
+        FieldNodes::new([middle - half, middle + half], self.field_nodes)
     }
-
-    /// Computes the kernels, with the table that [`KernelSpec::wavefronts`] names.
-    ///
-    /// # Errors
-    /// When a field point is not seen or an eye cannot be traced.
-    pub fn build(&self, table: Option<&FieldTable>) -> Result<Kernels, String> {
-        let projection = self.projection()?;
-        let points: Vec<FieldPoint> = self
-            .field()
-            .points()
-            .iter()
-            .map(|um| FieldPoint::new(&projection, *um))
-            .collect::<Result<_, _>>()?;
-        // Everything in the order of points and wavelengths, whatever thread computes it.
-        let rho = self.stiles_crawford_rho10_per_mm2;
-        let field = Field::new(&projection, table);
-        let wavefronts: Vec<Vec<Wavefront>> = points
-            .par_iter()
-            .map(|point| field.wavefronts(point, &self.nodes_nm, rho))
-            .collect::<Result<_, String>>()?;
-        let jobs: Vec<(&FieldPoint, &Wavefront)> =
-            points.iter().zip(&wavefronts).flat_map(|(p, waves)| waves.iter().map(move |w| (p, w))).collect();
-        let shape = self.shape_for(&jobs)?;
-        let factors: Vec<f64> = points
-            .par_iter()
-            .map(|point| densities(&field, point, &self.nodes_nm, rho))
-            .collect::<Result<Vec<_>, String>>()?
-            .concat();
-        let media = self.absorbers()?.media;
-        let paths: Vec<Paths> = jobs.iter().map(|(_, w)| Paths::new(w, &media)).collect();
-        let (kernels, throughput) = self.kernels_by_place(&jobs, &factors, &paths, shape)?;
-        let weights = basis_weights(shape, self.primaries.len());
-        let (counted, arriving) = kernels.split_at(ARRIVING);
-        let shared = compress_together(counted, &SHARES, &weights, self.tolerance);
-        // Arriving photons enter the budget only, where places average out: a coarser basis will do.
-        let arriving = compress(&arriving[0], &weights, ARRIVING_TOLERANCE * self.tolerance);
-        let samples = shape.len();
-        let split = |kernel: &Vec<Complex64>| kernel.chunks(samples).map(<[Complex64]>::to_vec).collect();
-        let tables = [&shared.kernels, &arriving.kernels].map(|kernels| kernels.iter().map(split).collect());
-        let ranks = [shared.kernels.len(), arriving.kernels.len()];
-        let kinds = shared.coefficients.into_iter().chain([arriving.coefficients]);
-        let kinds = kinds.map(|from_basis| KindBasis { from_basis }).collect();
-        Ok(Kernels {
-            head: Head {
-                spec: self.clone(),
-                shape,
-                kinds,
-                ranks,
-                basis_error: shared.error,
-                throughput,
-                paths: self.mean_paths(&paths),
-            },
-            field: self.field(),
-            ecc_deg: self.ecc_values(),
-            shares: self.shares(),
-            tables,
-        })
-    }
-
-    /// Means over the field nodes, `[wavelength]`, of paths `[field node][wavelength]`.
-    fn mean_paths(&self, paths: &[Paths]) -> Vec<Paths> {
-        let waves = self.nodes_nm.len();
-        let fields = (paths.len() / waves.max(1)).max(1) as f64;
-        let mean = |wave: usize, of: fn(&Paths) -> f64| {
-            paths.iter().skip(wave).step_by(waves).map(of).sum::<f64>() / fields
-        };
-        (0..waves).map(|i| Paths { cornea: mean(i, |p| p.cornea), lens: mean(i, |p| p.lens) }).collect()
-    }
-
-    /// The shape of the tables: a wavelength that is caught little need not be resolved as well.
-    fn shape_for(&self, jobs: &[(&FieldPoint, &Wavefront)]) -> Result<PolarShape, String> {
-        let absorbers = self.absorbers()?;
-        let paths = Paths { cornea: 1.0, lens: 1.0 };
-        let mut caught = vec![0.0_f64; self.nodes_nm.len()];
-        for shares in &self.shares() {
-            for kind in KINDS {
-                let weights = absorbers.weights(shares, &self.nodes_nm, kind, self.ecc_deg[1], paths);
-                let total: f64 = weights.iter().sum();
-                caught
-                    .iter_mut()
-                    .zip(&weights)
-                    .for_each(|(c, w)| *c = c.max(w / total.max(f64::MIN_POSITIVE)));
-            }
-        }
-        let mut cycles = [0.0_f64; 2];
-        for ((point, wavefront), caught) in jobs.iter().zip(caught.iter().cycle()) {
-            // The error is proportional to the catch and to the sixth power of the cycles.
-            let [blur, shift] = extent(point, wavefront).map(|e| e * self.band * caught.powf(1.0 / 6.0));
-            cycles = [cycles[0].max(blur), cycles[1].max(shift)];
-        }
-        Ok(PolarShape::for_cycles(self.band, cycles, TABLE_TOLERANCE * self.tolerance))
-    }
-
-    /// By kind, and the mean throughput. Transfer tables of `jobs` (`[field][wavelength]`) are made a few at a time
-    /// and added up: all of them would be the most of the memory.
-    fn kernels_by_place(
-        &self,
-        jobs: &[(&FieldPoint, &Wavefront)],
-        factors: &[f64],
-        paths: &[Paths],
-        shape: PolarShape,
-    ) -> Result<(Vec<PlaceKernels>, f64), String> {
-        let absorbers = self.absorbers()?;
-        let kinks_nm = self.prescription.kinks_nm(self.state.dispersion);
-        let nodes = (self.nodes_nm.as_slice(), kinks_nm.as_slice());
-        let shares = self.shares();
-        let eccentricities = self.ecc_values();
-        let waves = self.nodes_nm.len().max(1);
-        let fields = jobs.len() / waves;
-        let mut places: Vec<Place> = (0..KINDS.len())
-            .flat_map(|kind| (0..fields).map(move |field| (kind, field)))
-            .flat_map(|(kind, field)| eccentricities.iter().map(move |&ecc_deg| (kind, field, ecc_deg)))
-            .collect::<Vec<_>>()
-            .into_par_iter()
-            .map(|(kind, field, ecc_deg)| {
-                let along = &paths[field * waves..(field + 1) * waves];
-                let weights = |primary: &Vec<Share>| {
-                    absorbers.smooth_weights(primary, nodes, KINDS[kind], ecc_deg, along)
-                };
-                let kernel = vec![Complex64::ZERO; shares.len() * shape.len()];
-                Place { field, weights: shares.iter().map(weights).collect(), kernel }
-            })
-            .collect();
-        let mut throughput = 0.0;
-        for (block, (jobs, factors)) in jobs.chunks(BLOCK).zip(factors.chunks(BLOCK)).enumerate() {
-            let transfers: Vec<Transfer> = jobs
-                .par_iter()
-                .zip(factors)
-                .map(|((p, w), factor)| transfer_table(p, w, shape).times(*factor))
-                .collect();
-            throughput += transfers.iter().map(|t| t.throughput).sum::<f64>();
-            places.par_iter_mut().for_each(|place| place.add(block * BLOCK, &transfers, waves));
-        }
-        let per_kind = (fields * eccentricities.len()).max(1);
-        let kernels: Vec<Vec<Complex64>> = places.into_iter().map(|place| place.kernel).collect();
-        let mut kernels = kernels.into_iter();
-        let by_kind = (0..KINDS.len()).map(|_| kernels.by_ref().take(per_kind).collect()).collect();
-        Ok((by_kind, throughput / jobs.len().max(1) as f64))
-    }
-}
-
-/// Weights of the samples in the basis: `dν/ν` times the aperture's transform squared, and the mean.
-///
-/// An error of the kernel at frequencies about ν spreads over an area of 1/ν². Its share of the light over the whole image (L1) is the
-/// root of area times energy, `|e(ν)|·ν·(1/ν)`: every octave weighs the same; so it does in the mean picture, whose power falls with
-/// 1/ν². With the area ν dν alone (L2) 11 images left an L1 of 2.3e-3 on one lit pixel; so weighted 12 leave 3.9e-4.
-fn basis_weights(shape: PolarShape, primaries: usize) -> Vec<f64> {
-    let at = |i: usize| i % shape.radial;
-    let of_octave = |i: usize| {
-        let nu = shape.radius * at(i) as f64 / (shape.radial - 1) as f64;
-        let blur = (-0.5 * (std::f64::consts::TAU * nu / UM_PER_TANGENT * APERTURE_UM / 4.0).powi(2)).exp();
-        if at(i) == 0 { 0.0 } else { blur * blur / at(i) as f64 }
-    };
-    let one: Vec<f64> = (0..shape.len()).map(of_octave).collect();
-    let mean = MEAN_WEIGHT * one.iter().sum::<f64>() / shape.azimuthal as f64;
-    let one: Vec<f64> = (0..).zip(one).map(|(i, w)| if at(i) == 0 { mean } else { w }).collect();
-    one.repeat(primaries)
 }
 
 impl Kernels {

@@ -3,13 +3,13 @@
 //! `expected` computes the exact mean of every cone and draws a Poisson number; `events` draws the photons that could count; `paper` follows every photon as §22 is written and
 //! is the slow reference.
 
+mod around;
 mod arriving;
 pub mod audit;
 mod basis;
 mod budget;
 mod codec;
 mod cones;
-mod density;
 mod drive;
 mod events;
 mod expected;
@@ -19,6 +19,7 @@ mod grid;
 mod images;
 pub(crate) mod inputs;
 mod kernel;
+mod kernel_build;
 mod light;
 mod lowrank;
 pub(crate) mod nodes;
@@ -46,7 +47,8 @@ use glam::DVec2;
 pub use audit::AuditSample;
 pub use cones::{ConeColumns, cone_columns};
 pub(crate) use events::NODE_UM as EVENTS_NODE_UM;
-pub use kernel::{BLOCK as TRANSFER_BLOCK, KernelSpec, Kernels, TABLE_TOLERANCE};
+pub use kernel::{KernelSpec, Kernels, TABLE_TOLERANCE};
+pub use kernel_build::BLOCK as TRANSFER_BLOCK;
 pub use polar::PolarShape;
 pub use scan::SCAN_BLUR;
 
@@ -136,8 +138,7 @@ impl Exposure {
     /// When an artifact's bytes are damaged or do not belong to the experiment.
     pub fn new(experiment: &Experiment, artifacts: &[impl AsRef<[u8]>]) -> Result<Self, ExposureError> {
         let inputs = Inputs::read(experiment, artifacts)?;
-        let law = experiment.display.emission_law;
-        let cones = ConeTable::new(&inputs, law).map_err(ExposureError::Model)?;
+        let cones = ConeTable::new(&inputs).map_err(ExposureError::Model)?;
         let Projector { display, emitters, .. } = &inputs.primaries.projector;
         let pattern = match &experiment.video {
             Video::Pattern(pattern) => Some(draw(pattern, display, &experiment.gaze)),
@@ -271,6 +272,7 @@ impl Exposure {
         let audited = audit::Audited {
             experiment: &self.experiment,
             projection: &self.inputs.projection,
+            beams: &self.inputs.beams,
             projector: &self.inputs.primaries.projector,
             retina: &self.inputs.retina,
             table: &self.cones,

@@ -7,7 +7,7 @@
 
 use std::f64::consts::PI;
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 
 use super::nodes::{chebyshev, lagrange};
 
@@ -65,6 +65,44 @@ impl FieldNodes {
         self.lagrange.iter().map(|own| own.iter().zip(&products).map(|(a, b)| a * b).sum()).collect()
     }
 
+    /// First and second derivatives of each point's weight at a place.
+    pub fn slopes(&self, at: DVec2) -> Vec<Slope> {
+        let half = 0.5 * (self.max - self.min);
+        let scale = DVec2::ONE / half;
+        let place = (at - 0.5 * (self.min + self.max)) * scale;
+        let slope = |[x, y]: [[f64; 3]; 2]| {
+            let mixed = x[1] * y[1] * scale.x * scale.y;
+            let (xx, yy) = (x[2] * y[0] * scale.x * scale.x, x[0] * y[2] * scale.y * scale.y);
+            Slope {
+                first: DVec2::new(x[1] * y[0], x[0] * y[1]) * scale,
+                second: DMat2::from_cols(DVec2::new(xx, mixed), DVec2::new(mixed, yy)),
+            }
+        };
+        if self.side < 3 {
+            // Chebyshev's two points are at ±√½; a single one has a weight of 1 everywhere.
+            let line = |at: f64| -> Vec<[f64; 3]> {
+                match self.side {
+                    2 => [-1.0, 1.0].map(|s| [0.5 + s * at * SQRT_HALF, s * SQRT_HALF, 0.0]).to_vec(),
+                    _ => vec![[1.0, 0.0, 0.0]],
+                }
+            };
+            let (xs, ys) = (line(place.x), line(place.y));
+            return ys.iter().flat_map(|y| xs.iter().map(move |x| slope([*x, *y]))).collect();
+        }
+        let last = self.side as usize - 1;
+        let (x, y) = (derivatives(place.x, last), derivatives(place.y, last));
+        let products: Vec<Slope> =
+            (0..=last).flat_map(|i| (0..=last - i).map(move |j| (i, j))).map(|(i, j)| slope([x[i], y[j]])).collect();
+        let sum = |own: &Vec<f64>| {
+            let none = Slope { first: DVec2::ZERO, second: DMat2::ZERO };
+            own.iter().zip(&products).fold(none, |sum, (weight, s)| Slope {
+                first: sum.first + *weight * s.first,
+                second: sum.second + *weight * s.second,
+            })
+        };
+        self.lagrange.iter().map(sum).collect()
+    }
+
     /// The Lagrange polynomial of a Padua point with a cubature weight, in products of Chebyshev polynomials.
     fn products(&self, point: DVec2, weight: f64) -> Vec<f64> {
         let last = self.side as usize - 1;
@@ -83,6 +121,18 @@ impl FieldNodes {
         [0, 1].map(|axis| chebyshev(self.min[axis], self.max[axis], self.side as usize))
     }
 }
+
+/// Derivatives of a weight by the place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Slope {
+    /// By x and y.
+    pub first: DVec2,
+    /// Second ones.
+    pub second: DMat2,
+}
+
+/// √½.
+const SQRT_HALF: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// Padua points of the square [-1, 1]² for a total degree (1 or more), with their cubature weights.
 fn padua(degree: usize) -> Vec<(DVec2, f64)> {
@@ -108,9 +158,44 @@ fn polynomials(x: f64, last: usize) -> Vec<f64> {
     values
 }
 
+/// Chebyshev polynomials up to an order with their first and second derivatives.
+fn derivatives(x: f64, last: usize) -> Vec<[f64; 3]> {
+    let mut values = vec![[1.0, 0.0, 0.0], [x, 1.0, 0.0]];
+    while values.len() <= last {
+        let [a, b] = [values[values.len() - 2], values[values.len() - 1]];
+        let first = 2.0 * b[0] + 2.0 * x * b[1] - a[1];
+        values.push([2.0 * x * b[0] - a[0], first, 4.0 * b[1] + 2.0 * x * b[2] - a[2]]);
+    }
+    values
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Against differences of the weights, inside and at a corner.
+    #[test]
+    fn slopes_are_the_derivatives_of_the_weights() {
+        let rectangle = [DVec2::new(-100.0, 20.0), DVec2::new(300.0, 90.0)];
+        let h = 0.01;
+        for side in 1..=5 {
+            let nodes = FieldNodes::new(rectangle, side);
+            for at in [DVec2::new(13.0, 44.0), DVec2::new(300.0, 20.0)] {
+                let weights = |x: f64, y: f64| nodes.weights(at + h * DVec2::new(x, y));
+                let beside = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]].map(|[x, y]| weights(x, y));
+                let corners = [[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]].map(|[x, y]| weights(x, y));
+                for (i, slope) in nodes.slopes(at).into_iter().enumerate() {
+                    let by = (beside[0][i] - beside[1][i]) / (2.0 * h);
+                    let twice = (beside[2][i] - 2.0 * nodes.weights(at)[i] + beside[3][i]) / (h * h);
+                    let mixed =
+                        (corners[0][i] - corners[1][i] - corners[2][i] + corners[3][i]) / (4.0 * h * h);
+                    assert!((by - slope.first.x).abs() < 1e-6, "{side}");
+                    assert!((twice - slope.second.y_axis.y).abs() < 1e-6, "{side}");
+                    assert!((mixed - slope.second.x_axis.y).abs() < 1e-6, "{side}");
+                }
+            }
+        }
+    }
 
     #[test]
     fn polynomials_of_the_degree_are_exact() {

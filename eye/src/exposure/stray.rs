@@ -13,7 +13,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::bounds;
-use super::cones::{ConeTable, slant_factor};
+use super::cones::{ConeTable, entering};
 use super::expected::Means;
 use super::inputs::Inputs;
 use super::kernel::Kernels;
@@ -83,7 +83,7 @@ impl Veil {
     /// Prepares the veil over a tile's cones.
     pub fn new(inputs: &Inputs, primaries: &Primaries, cones: &ConeTable, stray: StrayLight) -> Self {
         let Primaries { kernels, projector } = primaries;
-        let Inputs { scene, projection, .. } = inputs;
+        let Inputs { scene, beams, .. } = inputs;
         let display = &projector.display;
         let px_deg = scene.tangent_per_px.to_degrees();
         let block_px = ((BLOCK_DEG / px_deg).floor() as u32).max(1);
@@ -99,7 +99,7 @@ impl Veil {
         let side = f64::from(block_px);
         let small_at: Vec<DVec2> = (0..small[0] * small[1]).map(|i| block(i, small[0], side)).collect();
         let slant =
-            small_at.iter().map(|px| slant_factor(display.emission_law, projection, tangent(*px))).collect();
+            small_at.iter().map(|px| entering(display.emission_law, beams, tangent(*px))).collect();
         let large_side = side * LARGE as f64;
         let (min, max) = bounds(cones.cones.iter().flat_map(|c| c.polygon_px.iter().map(|p| *p + first)));
         let size = (max - min).max(DVec2::ZERO);

@@ -114,10 +114,9 @@ impl Tail {
             .cones
             .iter()
             .map(|cone| {
-                let (centre, area) = centroid(&cone.polygon_px);
+                let (centre, factor) = centroid(&cone.polygon_px);
                 let (across, down) = (lagrange(&xs, centre.x), lagrange(&ys, centre.y));
-                let factor = area * cone.geometry;
-                for (sum, (v, u)) in
+                                for (sum, (v, u)) in
                     arriving.iter_mut().zip(down.iter().flat_map(|v| across.iter().map(move |u| (v, u))))
                 {
                     *sum = [sum[0] + factor * u * v, sum[1] + factor * cone.pointing * u * v];

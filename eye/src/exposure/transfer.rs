@@ -45,6 +45,20 @@ impl FieldPoint {
     /// When the retinal point sees no screen.
     pub fn new(projection: &Projection, um: DVec2) -> Result<Self, String> {
         let tangent = projection.screen_tangent(um).map_err(|e| e.to_string())?;
+        Self::of(projection, tangent, um)
+    }
+
+    /// The same by the point of the screen (unit tangents).
+    ///
+    /// # Errors
+    /// When the point of the screen is not seen.
+    pub fn at_tangent(projection: &Projection, tangent: DVec2) -> Result<Self, String> {
+        let nm = projection.eye().prescription().reference_wavelength_nm;
+        let um = projection.retina_um(tangent, nm).map_err(|e| e.to_string())?;
+        Self::of(projection, tangent, um)
+    }
+
+    fn of(projection: &Projection, tangent: DVec2, um: DVec2) -> Result<Self, String> {
         let jacobian = projection.jacobian_um_per_tangent(tangent).map_err(|e| e.to_string())?;
         // Coordinates are arcs from the foveal centre: around it a step is shorter by sin(arc)/arc.
         let arc = um.length() / (1e3 * projection.eye().fovea().radius_mm);

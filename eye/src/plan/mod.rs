@@ -338,6 +338,7 @@ fn kernel_spec(
         prescription: setup.prescription.clone(),
         state: setup.state,
         distance_mm: experiment.display.distance_cm * 10.0,
+        emission_law: experiment.display.emission_law,
         field_um: [tile.min, tile.max],
         field_nodes: field_nodes(experiment, tile),
         ecc_deg: [ecc_min, ecc_max],

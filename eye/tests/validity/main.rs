@@ -1,5 +1,13 @@
 //! The model against independent references: each file computes a quantity a second time, slowly and readably, from the eye's
 //! data and traced rays or from a published law, and holds the model to it. `docs/validation.md` lists the results.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "tests fail by panicking and print what they find")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "tests fail by panicking and print what they find"
+)]
 
 mod pupil;
+mod source;
+#[path = "../support/mod.rs"]
+mod support;

@@ -1,19 +1,27 @@
-//! What one cone's place on the retina collects: for each primary the density, per µm² of retina, with which photons from a point of the
-//! screen are counted at an offset ξ from the point's image.
+//! What one cone collects: for each primary the density, per µm² of retina, with which photons of a point of the screen are
+//! counted at the offset ρ of the cone from that point's image.
 //!
-//! `k(ξ) = Σ_λ share(λ)·caught(λ)·PSF_λ(ξ − δ(λ))` by point spreads traced at the cone's own field point, at wavelengths of its own, sampled
-//! 2.5 times as finely as their cutoff asks and read by six-point polynomials. Outside of the window a pupil with an edge spreads as
-//! `c/|ξ|³`; c is what is missing from the whole, which is known.
+//! Each source point has a PSF of its own. Around a cone at x they are traced at x itself and at a few source points beside it
+//! (two up to 4 mm of pupil, five beyond), and a source at an offset δ on the screen has the PSF
+//! `p(ρ; δ) = p₀(ρ) + Σ_s L_s(δ) [p_s − p₀](ρ)`, L the polynomials of the first or second degree through these points. ρ is the
+//! exact offset `−X(δ)`, X the map of chief rays about x to second order. The differences are taken at every second
+//! wavelength: they are small.
+//!
+//! `p(ρ) = Σ_λ fraction(λ)·caught(λ)·PSF_λ(ρ − shift(λ))` by PSFs at wavelengths of its own, sampled 2.5 times as finely as
+//! their cutoff asks and read by six-point polynomials. Outside of the window a pupil with an edge spreads as `c/|ρ|³`; c is
+//! what is missing from the whole, which is known.
 
 use std::f64::consts::SQRT_2;
 
-use glam::{DMat2, DVec2};
+use glam::DVec2;
 use rayon::prelude::*;
 
 use super::super::spectral::{Absorbers, Kind, Paths, paths_at};
 use super::super::transfer::{FieldPoint, spot_radius_um, wavefront_options};
-use crate::display::Emitter;
-use crate::optics::Projection;
+use super::local::{Local, Stencil};
+use crate::display::{EmissionLaw, Emitter};
+use crate::optics::beam::nominal_mm2;
+use crate::optics::{BeamField, Projection};
 use crate::psf::{GridAxes, PsfGrid, Wavefront, WavefrontOptions, psf};
 
 /// Window: at least so many µm each way, so many times the geometric spot and so many widths of the diffraction pattern.
@@ -27,18 +35,18 @@ const SHORT: f64 = 0.15;
 const MOST_SAMPLES: usize = 768;
 /// Points of a polynomial on either side.
 const REACH: usize = 3;
-/// Distance to the points beside at which the change of the centroid is taken, µm.
-const STEP_UM: f64 = 50.0;
-/// Wavelengths at which it is taken.
-const DENSITIES: usize = 5;
 
 /// What is the same for all cones.
 pub struct Optics<'a> {
     /// Screen and eye.
     pub projection: &'a Projection,
+    /// Light that enters the pupil from each point of the screen.
+    pub beams: &'a BeamField,
+    /// How the screen's light falls with the angle.
+    pub emission_law: EmissionLaw,
     /// Media and pigments.
     pub absorbers: Absorbers,
-    /// Wavelengths of the point spreads, nm.
+    /// Wavelengths of the PSFs, nm.
     pub nodes_nm: Vec<f64>,
     /// Spacing, nm.
     pub step_nm: f64,
@@ -46,7 +54,8 @@ pub struct Optics<'a> {
     pub rho10_per_mm2: f64,
 }
 
-/// The spread of one primary's light.
+/// The PSF of one primary's light.
+#[derive(Clone)]
 struct Spread {
     values: Vec<f64>,
     /// Density at distance r outside of the window, times r³.
@@ -57,13 +66,25 @@ struct Spread {
 /// Products of the gaps between six samples.
 const GAPS: [f64; 2 * REACH] = [-120.0, 24.0, -12.0, 12.0, -24.0, 120.0];
 
-/// What a place on the retina collects: densities (1/µm²), or after [`Collection::over`] shares that an aperture counts.
+/// What a cone collects: densities (1/µm²), or after [`Collection::over`] fractions that an aperture counts.
 pub struct Collection {
-    /// Offset on the retina (µm along its tangents) from an offset on the screen (tangents).
-    pub to_retina: DMat2,
+    /// The screen about the cone.
+    pub local: Local,
     grid: PsfGrid,
     inside_um: f64,
+    /// By primary: of a source at the cone's own place.
     spreads: Vec<Spread>,
+    /// `[point beside][primary]`: what that point's PSF has more.
+    beside: Vec<Vec<Spread>>,
+    stencil: Stencil,
+}
+
+/// PSFs of one source point by wavelength, each of a density per photon that enters a pupil of the reference wavelength's beam.
+struct Images {
+    nodes_nm: Vec<f64>,
+    paths: Vec<Paths>,
+    totals: Vec<f64>,
+    images: Vec<Vec<f64>>,
 }
 
 impl Collection {
@@ -79,47 +100,35 @@ impl Collection {
         ecc_deg: f64,
     ) -> Result<Self, String> {
         let point = FieldPoint::new(optics.projection, um)?;
-        let nodes = &optics.nodes_nm;
-        let waves: Vec<Wavefront> =
-            nodes.par_iter().map(|nm| optics.wavefront(&point, *nm)).collect::<Result<_, _>>()?;
-        let densities = optics.densities(&point)?;
-        let paths: Vec<Paths> = waves.iter().map(|w| Paths::new(w, &optics.absorbers.media)).collect();
+        let local = Local::new(optics, &point)?;
+        // The cone's own place, at all wavelengths.
+        let waves = optics.wavefronts(&point, &optics.nodes_nm)?;
         let grid = window(&waves);
-        let to_tangents = point.chart_from_tangents().inverse();
-        let images: Vec<Vec<f64>> = waves
-            .par_iter()
-            .zip(&densities)
-            .map(|(w, density)| {
-                // The window stands about the image at the reference wavelength; the spread of this one lies beside.
-                let shift = to_tangents * (w.landing_um - point.landing_um);
-                let scale = density * w.density_per_um2();
-                psf(w, &PsfGrid { centre_um: -shift, ..grid }).into_iter().map(|v| v * scale).collect()
-            })
-            .collect();
-        let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
-        let spread = |emitter: &Emitter| {
-            let mut weights = vec![0.0; nodes.len()];
-            for p in &emitter.photons {
-                let caught = optics.absorbers.caught_at(kind, p.nm, ecc_deg, paths_at(nodes, &paths, p.nm));
-                hats(nodes, optics.step_nm, p.nm, |i, hat| weights[i] += hat * p.emitted * caught);
-            }
-            let emitted = emitter.emitted().max(f64::MIN_POSITIVE);
-            let mut values = vec![0.0; grid.samples * grid.samples];
-            let mut total = 0.0;
-            for (((weight, image), w), density) in weights.iter().zip(&images).zip(&waves).zip(&densities) {
-                let weight = weight / emitted;
-                total += weight * density * w.throughput();
-                values.iter_mut().zip(image).for_each(|(sum, v)| *sum += weight * v);
-            }
-            let inner = || REACH..grid.samples - REACH;
-            let inside: f64 =
-                inner().map(|i| inner().map(|j| values[i * grid.samples + j]).sum::<f64>()).sum();
-            let missing = total - inside * grid.pitch_um().powi(2);
-            // ∫ r⁻³ over the plane outside of a square of half side R is 4√2/R.
-            Spread { values, tail: missing.max(0.0) * inside_um / (4.0 * SQRT_2), total }
+        let own = optics.images(&point, &waves, grid);
+        let weigh = |images: &Images, step_nm: f64| -> Vec<Spread> {
+            let one = |emitter: &Emitter| optics.primary(images, emitter, (kind, ecc_deg, step_nm), &grid);
+            emitters.iter().map(one).collect()
         };
-        let spreads = emitters.iter().map(spread).collect();
-        Ok(Self { to_retina: point.frequency_map.inverse().transpose(), grid, inside_um, spreads })
+        let spreads = weigh(&own, optics.step_nm);
+        // Source points beside it, at every second wavelength: what is different there.
+        let spot = waves.iter().map(spot_radius_um).fold(0.0, f64::max);
+        let stencil = Stencil::new(optics.projection.eye().state().pupil_mm, spot / local.um_per_tangent());
+        let coarse = own.every_second(optics.step_nm);
+        let coarse_step = 2.0 * optics.step_nm;
+        let base = weigh(&coarse, coarse_step);
+        let difference = |offset: &DVec2| -> Result<Vec<Spread>, String> {
+            let source = FieldPoint::at_tangent(optics.projection, point.tangent + *offset)?;
+            let waves = optics.wavefronts(&source, &coarse.nodes_nm)?;
+            let images = optics.images(&source, &waves, grid);
+            let less = |(mut there, here): (Spread, &Spread)| {
+                there.values.iter_mut().zip(&here.values).for_each(|(a, b)| *a -= b);
+                Spread { tail: there.tail - here.tail, total: there.total - here.total, ..there }
+            };
+            Ok(weigh(&images, coarse_step).into_iter().zip(&base).map(less).collect())
+        };
+        let beside = stencil.offsets().iter().map(difference).collect::<Result<_, String>>()?;
+        let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
+        Ok(Self { local, grid, inside_um, spreads, beside, stencil })
     }
 
     /// Half of the window's side, µm.
@@ -159,7 +168,7 @@ impl Collection {
             }
         }
         let area: f64 = aperture.iter().map(|a| a.1).sum();
-        for spread in &mut self.spreads {
+        for spread in self.spreads.iter_mut().chain(self.beside.iter_mut().flatten()) {
             let mut sums = vec![0.0; samples * samples];
             for i in half..samples.saturating_sub(half) {
                 for (di, taps) in stencil.chunks_exact(side).enumerate() {
@@ -178,14 +187,29 @@ impl Collection {
         self
     }
 
-    /// The density, or the share, at an offset (µm).
-    pub fn at(&self, primary: usize, xi: DVec2) -> f64 {
-        let spread = &self.spreads[primary];
-        if xi.abs().max_element() > self.inside_um {
-            return spread.tail / xi.length().powi(3);
+    /// The density, or the fraction, for a source at an offset on the screen (unit tangents) from the cone: of the photons that
+    /// would enter the nominal pupil from the gaze centre.
+    pub fn at(&self, primary: usize, offset: DVec2) -> f64 {
+        let rho = -self.local.image_um(offset);
+        let outside = rho.abs().max_element() > self.inside_um;
+        let own = self.read(&self.spreads[primary], rho, outside);
+        // From afar only the light is another; the PSF's tail hardly changes.
+        let change = if outside {
+            0.0
+        } else {
+            let weights = self.stencil.weights(offset);
+            self.beside.iter().zip(weights).map(|(s, weight)| weight * self.read(&s[primary], rho, false)).sum()
+        };
+        self.local.light(offset) * (own + change)
+    }
+
+    /// One PSF at an offset of the cone from the source's image (µm).
+    fn read(&self, spread: &Spread, rho: DVec2, outside: bool) -> f64 {
+        if outside {
+            return spread.tail / rho.length().powi(3);
         }
         let samples = self.grid.samples;
-        let [(i, across), (j, down)] = [self.stencil(xi.x), self.stencil(xi.y)];
+        let [(i, across), (j, down)] = [self.stencil_at(rho.x), self.stencil_at(rho.y)];
         let mut sum = 0.0;
         for (di, wi) in across.iter().enumerate() {
             let row = &spread.values[(i + di) * samples + j..][..2 * REACH];
@@ -195,7 +219,7 @@ impl Collection {
     }
 
     /// First of the six samples around a place along one axis, and their weights.
-    fn stencil(&self, um: f64) -> (usize, [f64; 2 * REACH]) {
+    fn stencil_at(&self, um: f64) -> (usize, [f64; 2 * REACH]) {
         let place = um / self.grid.pitch_um() + 0.5 * self.grid.samples as f64 - 0.5;
         let first = (place.floor() as usize + 1).saturating_sub(REACH).min(self.grid.samples - 2 * REACH);
         (first, lagrange(place - first as f64))
@@ -209,40 +233,87 @@ fn lagrange(t: f64) -> [f64; 2 * REACH] {
     })
 }
 
+impl Images {
+    /// Every second wavelength of each stretch of light and its ends, for a doubled spacing.
+    fn every_second(&self, step_nm: f64) -> Self {
+        let joined = |i: usize| self.nodes_nm[i + 1] - self.nodes_nm[i] <= step_nm * (1.0 + 1e-9);
+        let (mut kept, mut first) = (Vec::new(), 0);
+        for i in 0..self.nodes_nm.len() {
+            let last = i + 1 == self.nodes_nm.len() || !joined(i);
+            if (i - first).is_multiple_of(2) || last {
+                kept.push(i);
+            }
+            if last {
+                first = i + 1;
+            }
+        }
+        Self {
+            nodes_nm: kept.iter().map(|i| self.nodes_nm[*i]).collect(),
+            paths: kept.iter().map(|i| self.paths[*i]).collect(),
+            totals: kept.iter().map(|i| self.totals[*i]).collect(),
+            images: kept.iter().map(|i| self.images[*i].clone()).collect(),
+        }
+    }
+}
+
 impl Optics<'_> {
-    fn wavefront(&self, point: &FieldPoint, nm: f64) -> Result<Wavefront, String> {
+    fn wavefronts(&self, point: &FieldPoint, nodes_nm: &[f64]) -> Result<Vec<Wavefront>, String> {
         let eye = self.projection.eye();
         let degree = Some(if eye.state().pupil_mm <= 4.0 { 10 } else { 14 });
         let options = WavefrontOptions { degree, ..wavefront_options(self.rho10_per_mm2) };
-        Wavefront::new(eye, point.object, nm, &options).map_err(|e| e.to_string())
+        let one = |nm: &f64| Wavefront::new(eye, point.object, *nm, &options).map_err(|e| e.to_string());
+        nodes_nm.par_iter().map(one).collect()
     }
 
-    /// How much denser the retina receives an even field than the map of chief rays says, by wavelength: at five wavelengths, a polynomial
-    /// between. A parabola through three made everything 2e-4 too bright in white light.
-    fn densities(&self, point: &FieldPoint) -> Result<Vec<f64>, String> {
-        let nodes = &self.nodes_nm;
-        let (Some(first), Some(last)) = (nodes.first(), nodes.last()) else { return Ok(Vec::new()) };
-        let part = |i: usize| first + (last - first) * i as f64 / (DENSITIES - 1) as f64;
-        let mut at: Vec<f64> = (0..DENSITIES).map(part).collect();
-        at.dedup();
-        let density = |nm: &f64| -> Result<f64, String> {
-            let moved = |step: DVec2| -> Result<DVec2, String> {
-                let beside = FieldPoint::new(self.projection, point.landing_um + step)?;
-                let wave = self.wavefront(&beside, *nm)?;
-                Ok(wave.landing_um - beside.landing_um + beside.chart_from_tangents() * wave.centroid_um())
-            };
-            let x = moved(DVec2::X * STEP_UM)?.x - moved(DVec2::X * -STEP_UM)?.x;
-            let y = moved(DVec2::Y * STEP_UM)?.y - moved(DVec2::Y * -STEP_UM)?.y;
-            Ok(1.0 / (1.0 + (x + y) / (2.0 * STEP_UM)))
+    /// PSFs about the image of a source point at the reference wavelength.
+    fn images(&self, point: &FieldPoint, waves: &[Wavefront], grid: PsfGrid) -> Images {
+        let to_tangents = point.chart_from_tangents().inverse();
+        let beam_mm2 =
+            nominal_mm2(self.projection.eye().state().pupil_mm) * self.beams.relative(point.tangent);
+        let image = |w: &Wavefront| {
+            // The window stands about the image at the reference wavelength; the PSF of this one lies beside.
+            let shift = to_tangents * (w.landing_um - point.landing_um);
+            let scale = w.pupil_area_mm2 / beam_mm2 * w.density_per_um2();
+            psf(w, &PsfGrid { centre_um: -shift, ..grid }).into_iter().map(|v| v * scale).collect()
         };
-        let values: Vec<f64> = at.par_iter().map(density).collect::<Result<_, _>>()?;
-        let between = |nm: &f64| {
-            let weight = |i: usize| -> f64 {
-                (0..at.len()).filter(|j| *j != i).map(|j| (nm - at[j]) / (at[i] - at[j])).product()
-            };
-            (0..at.len()).map(|i| weight(i) * values[i]).sum()
-        };
-        Ok(nodes.iter().map(between).collect())
+        Images {
+            nodes_nm: waves.iter().map(|w| w.wavelength_nm).collect(),
+            paths: waves.iter().map(|w| Paths::new(w, &self.absorbers.media)).collect(),
+            totals: waves.iter().map(|w| w.pupil_area_mm2 / beam_mm2 * w.throughput()).collect(),
+            images: waves.par_iter().map(image).collect(),
+        }
+    }
+
+    /// The PSF of a primary's light from those of wavelengths `step_nm` apart, weighted with what a kind of cone at an
+    /// eccentricity catches.
+    fn primary(
+        &self,
+        images: &Images,
+        emitter: &Emitter,
+        (kind, ecc_deg, step_nm): (Kind, f64, f64),
+        grid: &PsfGrid,
+    ) -> Spread {
+        let nodes = &images.nodes_nm;
+        let mut weights = vec![0.0; nodes.len()];
+        for p in &emitter.photons {
+            let paths = paths_at(nodes, &images.paths, p.nm);
+            let caught = self.absorbers.caught_at(kind, p.nm, ecc_deg, paths);
+            hats(nodes, step_nm, p.nm, |i, hat| weights[i] += hat * p.emitted * caught);
+        }
+        let emitted = emitter.emitted().max(f64::MIN_POSITIVE);
+        let mut values = vec![0.0; grid.samples * grid.samples];
+        let mut total = 0.0;
+        for ((weight, image), whole) in weights.iter().zip(&images.images).zip(&images.totals) {
+            let weight = weight / emitted;
+            total += weight * whole;
+            values.iter_mut().zip(image).for_each(|(sum, v)| *sum += weight * v);
+        }
+        let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
+        let inner = || REACH..grid.samples - REACH;
+        let inside: f64 = inner().map(|i| inner().map(|j| values[i * grid.samples + j]).sum::<f64>()).sum();
+        let missing = total - inside * grid.pitch_um().powi(2);
+        // ∫ r⁻³ over the plane outside of a square of half side R is 4√2/R.
+        Spread { values, tail: missing.max(0.0) * inside_um / (4.0 * SQRT_2), total }
     }
 }
 

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use glam::DVec2;
 
-use super::super::cones::slant_factor;
+use super::super::cones::entering;
 use super::super::light::{Course, Shown, courses, courses_at, frame_light, light};
 use super::super::source::Projector;
 use super::super::stray::{scattered_per_sr, scattered_share};
@@ -106,7 +106,7 @@ pub fn mean(
     let mut corners = Vec::with_capacity(cone.polygon_um.len());
     for um in &cone.polygon_um {
         let corner = optics.projection.screen_tangent(*um).map_err(|e| e.to_string())?;
-        corners.push(collection.to_retina * (corner - tangent));
+        corners.push(collection.local.image_um(corner - tangent));
     }
     let aperture = aperture(&corners, 0.5 * collection.period_um());
     let sum = Sum {
@@ -118,8 +118,7 @@ pub fn mean(
         centre_px: DVec2::from_array(experiment.gaze.center_px)
             + flip(tangent) * display.distance_cm / display.pixel_pitch_cm,
     };
-    let image: f64 = (0..projector.emitters.len()).map(|primary| sum.primary(primary)).sum();
-    let mut mean = image * slant_factor(display.emission_law, optics.projection, tangent);
+    let mut mean: f64 = (0..projector.emitters.len()).map(|primary| sum.primary(primary)).sum();
     if let Some(stray) = experiment.eye.stray_light {
         mean *= 1.0 - scattered_share(stray);
         let spread = |angle: f64| scattered_per_sr(stray, angle);
@@ -214,13 +213,12 @@ impl Sum<'_> {
 
     /// Share of the photons from a point of the display, as the eye at rest would see it, that the cone counts.
     fn collected(&self, primary: usize, seen_px: DVec2) -> f64 {
-        let xi = self.collection.to_retina * flip((self.centre_px - seen_px) * self.per_px);
-        self.collection.at(primary, xi)
+        self.collection.at(primary, flip((seen_px - self.centre_px) * self.per_px))
     }
 
     /// A pixel pitch on the retina, the shorter way, µm.
     fn px_um(&self) -> f64 {
-        let to_retina = self.collection.to_retina;
+        let to_retina = self.collection.local.to_retina;
         // Area over the longer way.
         let longer = to_retina.x_axis.length().max(to_retina.y_axis.length());
         self.per_px * to_retina.determinant().abs() / longer
@@ -256,10 +254,10 @@ impl Sum<'_> {
             let middle = (place + 0.5) * block;
             let there = way(middle);
             let angle = there.cross(here).length().atan2(there.dot(here)).to_degrees();
-            let slant = slant_factor(display.emission_law, optics.projection, tangent(middle));
+            let slant = entering(display.emission_law, optics.beams, tangent(middle));
             light += sum * slant * spread(angle) * omega;
         }
-        let to_um = self.collection.to_retina.determinant().abs() * self.per_px.powi(2);
+        let to_um = self.collection.local.to_retina.determinant().abs() * self.per_px.powi(2);
         light * lights.photons[primary] / to_um * self.collection.total(primary)
     }
 }

@@ -10,6 +10,7 @@
 
 mod collection;
 mod direct;
+mod local;
 mod verdict;
 
 use glam::DVec2;
@@ -24,7 +25,7 @@ use crate::cone::pigment::{Pigments, unbleached};
 use crate::display::PhotonSample;
 use crate::experiment::Experiment;
 use crate::media::Media;
-use crate::optics::Projection;
+use crate::optics::{BeamField, Projection};
 use crate::retina::Retina;
 use crate::rng::{Purpose, Stream};
 use collection::Optics;
@@ -61,6 +62,8 @@ pub struct Audited<'a> {
     pub experiment: &'a Experiment,
     /// Screen and eye.
     pub projection: &'a Projection,
+    /// Light that enters the pupil from each point of the screen.
+    pub beams: &'a BeamField,
     /// Light and movement.
     pub projector: &'a Projector,
     /// The tile's cones.
@@ -155,6 +158,8 @@ impl Audited<'_> {
         }
         Ok(Optics {
             projection: self.projection,
+            beams: self.beams,
+            emission_law: self.experiment.display.emission_law,
             absorbers,
             nodes_nm: wavelength_nodes(lit, STEP_NM),
             step_nm: STEP_NM,

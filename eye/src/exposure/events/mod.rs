@@ -107,7 +107,7 @@ impl Events {
         let pixels = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
         let middle = |(column, row)| DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
         let slant = pixels
-            .map(|pixel| super::cones::slant_factor(law, projection, scene.tangent(middle(pixel))))
+            .map(|pixel| super::cones::entering(law, &inputs.beams, scene.tangent(middle(pixel))))
             .collect();
         Ok(Self {
             seed: experiment.counts.seed,

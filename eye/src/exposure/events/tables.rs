@@ -10,10 +10,11 @@ use super::spread::Spread;
 use crate::experiment::Experiment;
 use crate::exposure::cones::{ConeTable, MappedCone};
 use crate::exposure::inputs::Inputs;
-use crate::exposure::spectral::{ARRIVING, KINDS, Share};
+use crate::exposure::spectral::{ARRIVING, KINDS, Paths, Share};
 use crate::exposure::transfer::{FieldPoint, spot_radius_um, wavefronts};
 use crate::exposure::{KernelSpec, Kernels};
-use crate::optics::Projection;
+use crate::optics::beam::nominal_mm2;
+use crate::optics::{BeamField, Projection};
 use crate::psf::Wavefront;
 use crate::retina::{ConeIndex, Origin};
 
@@ -156,11 +157,12 @@ impl Tables {
         let [ecc_from, ecc_to] = spec.ecc_deg;
         let ecc = |step: usize| ecc_from + (ecc_to - ecc_from) * step as f64 / ECC_STEPS as f64;
         let waves = spec.nodes_nm.len();
+        let paths: Vec<Paths> = spec.nodes_nm.iter().map(|nm| kernels.paths_at(*nm)).collect();
         let of_primary = |shares: &Vec<_>| {
             let mut weights: Vec<Weights> = vec![[[0.0; KINDS.len()]; ECC_STEPS + 1]; waves];
             for (k, kind) in KINDS.into_iter().enumerate() {
                 for step in 0..=ECC_STEPS {
-                    let caught = absorbers.weights(shares, &spec.nodes_nm, kind, ecc(step), kernels.paths());
+                    let caught = absorbers.weights_along(shares, &spec.nodes_nm, kind, ecc(step), &paths);
                     for (wave, value) in weights.iter_mut().zip(caught) {
                         wave[step][k] = value as f32;
                     }
@@ -174,7 +176,7 @@ impl Tables {
 
         let listed = experiment.counts.photon_list;
         let of_node = |shares: &[Share], node: usize| {
-            Wavelengths::new(&absorbers, shares, (&spec.nodes_nm, node), ecc, kernels.paths())
+            Wavelengths::new(&absorbers, shares, (&spec.nodes_nm, node), ecc, paths[node])
         };
         let wavelengths = if listed { table(shares, waves, of_node) } else { Vec::new() };
 
@@ -185,7 +187,7 @@ impl Tables {
         let side = [0, 1].map(|axis| ((max[axis] - min[axis]).max(0.0) / NODE_UM).ceil() as usize + 1);
         let step_um =
             DVec2::from_array([0, 1].map(|axis| (max[axis] - min[axis]) / (side[axis] - 1).max(1) as f64));
-        let nodes = trace(projection, spec, (min, step_um, side), index.per_um())?;
+        let nodes = trace((projection, &inputs.beams), spec, (min, step_um, side), index.per_um())?;
         let accepted = nodes.iter().flat_map(|n| &n.spreads).map(|s| s.accepted).fold(0.0, f64::max);
         let most_of = |weights: &Weights| {
             let caught = weights.iter().flat_map(|kinds| &kinds[..ARRIVING]).copied().fold(0.0, f32::max);
@@ -415,7 +417,7 @@ fn table<T: Send>(
 
 /// By wavelength the nodes of a grid: its first one, steps, and number along each side.
 fn trace(
-    projection: &Projection,
+    (projection, beams): (&Projection, &BeamField),
     spec: &KernelSpec,
     (first_um, step_um, side): (DVec2, DVec2, [usize; 2]),
     bins_per_um: f64,
@@ -430,8 +432,11 @@ fn trace(
         .par_iter()
         .map(|point| {
             let waves = wavefronts(projection, point, &spec.nodes_nm, spec.stiles_crawford_rho10_per_mm2)?;
+            // Pixels are weighted with the beam at the reference wavelength; other wavelengths see a slightly other pupil.
+            let beam_mm2 = nominal_mm2(spec.state.pupil_mm) * beams.relative(point.tangent);
             let node = |wavefront: &Wavefront| {
-                let spread = Spread::new(wavefront, spot_radius_um(wavefront));
+                let mut spread = Spread::new(wavefront, spot_radius_um(wavefront));
+                spread.accepted *= wavefront.pupil_area_mm2 / beam_mm2;
                 let step_um = point.chart_from_tangents() * spread.pitch_um;
                 let shift_um = wavefront.landing_um - point.landing_um;
                 (Node::new(shift_um * bins_per_um, step_um * bins_per_um, &spread), spread)

@@ -25,7 +25,7 @@ use crate::exposure::primaries::Primaries;
 use crate::exposure::scene::Scene;
 use crate::exposure::source::Projector;
 use crate::exposure::spectral::{Absorbers, Paths};
-use crate::optics::Projection;
+use crate::optics::{BeamField, Projection};
 use crate::report::PhotonBudget;
 use crate::retina::{ConeIndex, ConeType};
 use crate::rng::{Purpose, Stream};
@@ -137,7 +137,7 @@ impl Paper {
             nodes,
             optics: Vec::new(),
             channels,
-            slant: slants(projector, projection, scene),
+            slant: slants(projector, &inputs.beams, scene),
             reflects: experiment.eye.reflection_losses,
         };
         let apodize = experiment.eye.stiles_crawford_rho10_per_mm2;
@@ -347,17 +347,13 @@ fn cumulative_channels(emitter: &Emitter) -> Vec<f64> {
 }
 
 /// Slant factors of the window's pixels.
-fn slants(projector: &Projector, projection: &Projection, scene: &Scene) -> Vec<f64> {
+fn slants(projector: &Projector, beams: &BeamField, scene: &Scene) -> Vec<f64> {
     let [width, height] = scene.size_px;
     let mut slants = Vec::with_capacity((width * height) as usize);
     for row in 0..height {
         for column in 0..width {
             let tangent = scene.tangent(DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5));
-            slants.push(crate::exposure::cones::slant_factor(
-                projector.display.emission_law,
-                projection,
-                tangent,
-            ));
+            slants.push(crate::exposure::cones::entering(projector.display.emission_law, beams, tangent));
         }
     }
     slants
