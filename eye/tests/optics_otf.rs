@@ -14,11 +14,8 @@ use std::f64::consts::{PI, TAU};
 fn eye(pupil_mm: f64) -> SchematicEye {
     let p = Prescription::preset("escudero-sanz-navarro").unwrap();
     let (decentre_mm, dispersion) = (0.4, Dispersion::Polyline);
-    SchematicEye::new(
-        &p,
-        &EyeState { pupil_mm, decentre_mm, accommodation_a: 0.0, dispersion, side: Side::Right },
-    )
-    .unwrap()
+    let state = EyeState { pupil_mm, decentre_mm, accommodation_a: 0.0, dispersion, side: Side::Right };
+    SchematicEye::with_stop(&p, &state, pupil_mm / 1.133_406_1).unwrap()
 }
 
 fn wavefront(

@@ -84,7 +84,8 @@ fn eye(pupil_mm: f64, decentre_mm: f64) -> SchematicEye {
     let p = Prescription::preset("escudero-sanz-navarro").unwrap();
     let dispersion = Dispersion::Polyline;
     let state = EyeState { pupil_mm, decentre_mm, accommodation_a: 0.0, dispersion, side: Side::Right };
-    SchematicEye::new(&p, &state).unwrap()
+    // The packages take the stop from the paraxial magnification of the cornea.
+    SchematicEye::with_stop(&p, &state, pupil_mm / 1.133_406_1).unwrap()
 }
 
 fn largest(a: &[f64]) -> f64 {

@@ -25,7 +25,8 @@ fn prescription() -> Prescription {
 }
 
 fn eye(state: EyeState) -> SchematicEye {
-    SchematicEye::new(&prescription(), &state).unwrap()
+    // As in the packages: the stop by the paraxial magnification of the cornea.
+    SchematicEye::with_stop(&prescription(), &state, state.pupil_mm / 1.133_406_1).unwrap()
 }
 
 fn close(a: f64, b: f64, tolerance: f64, what: &str) {

@@ -8,7 +8,7 @@ use super::around::{Around, Moments};
 use super::cones::emission;
 use super::field::Field;
 use super::kernel::{
-    APERTURE_UM, ARRIVING_TOLERANCE, Head, KernelSpec, KindBasis, Kernels, MEAN_WEIGHT, PlaceKernels, SHARES,
+    APERTURE_UM, ARRIVING_TOLERANCE, Head, KernelSpec, Kernels, KindBasis, MEAN_WEIGHT, PlaceKernels, SHARES,
     TABLE_TOLERANCE, UM_PER_TANGENT,
 };
 use super::lowrank::{add, compress, compress_together};
@@ -84,8 +84,9 @@ impl KernelSpec {
         let shape = self.shape_for(&jobs)?;
         // Light that enters the pupil from each point at each wavelength, over that of the nominal pupil on the line of sight.
         let nominal = nominal_mm2(self.state.pupil_mm);
-        let entering =
-            |(p, w): &(&FieldPoint, &Wavefront)| emission(self.emission_law, p.tangent) * w.pupil_area_mm2 / nominal;
+        let entering = |(p, w): &(&FieldPoint, &Wavefront)| {
+            emission(self.emission_law, p.tangent) * w.pupil_area_mm2 / nominal
+        };
         let factors: Vec<f64> = jobs.iter().map(entering).collect();
         let media = self.absorbers()?.media;
         let paths: Vec<Paths> = jobs.iter().map(|(_, w)| Paths::new(w, &media)).collect();
@@ -242,4 +243,3 @@ pub(super) fn basis_weights(shape: PolarShape, primaries: usize) -> Vec<f64> {
     let one: Vec<f64> = (0..).zip(one).map(|(i, w)| if at(i) == 0 { mean } else { w }).collect();
     one.repeat(primaries)
 }
-

@@ -91,8 +91,10 @@ impl FieldNodes {
         }
         let last = self.side as usize - 1;
         let (x, y) = (derivatives(place.x, last), derivatives(place.y, last));
-        let products: Vec<Slope> =
-            (0..=last).flat_map(|i| (0..=last - i).map(move |j| (i, j))).map(|(i, j)| slope([x[i], y[j]])).collect();
+        let products: Vec<Slope> = (0..=last)
+            .flat_map(|i| (0..=last - i).map(move |j| (i, j)))
+            .map(|(i, j)| slope([x[i], y[j]]))
+            .collect();
         let sum = |own: &Vec<f64>| {
             let none = Slope { first: DVec2::ZERO, second: DMat2::ZERO };
             own.iter().zip(&products).fold(none, |sum, (weight, s)| Slope {
@@ -183,7 +185,8 @@ mod tests {
             for at in [DVec2::new(13.0, 44.0), DVec2::new(300.0, 20.0)] {
                 let weights = |x: f64, y: f64| nodes.weights(at + h * DVec2::new(x, y));
                 let beside = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]].map(|[x, y]| weights(x, y));
-                let corners = [[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]].map(|[x, y]| weights(x, y));
+                let corners =
+                    [[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]].map(|[x, y]| weights(x, y));
                 for (i, slope) in nodes.slopes(at).into_iter().enumerate() {
                     let by = (beside[0][i] - beside[1][i]) / (2.0 * h);
                     let twice = (beside[2][i] - 2.0 * nodes.weights(at)[i] + beside[3][i]) / (h * h);

@@ -98,8 +98,7 @@ impl Veil {
         };
         let side = f64::from(block_px);
         let small_at: Vec<DVec2> = (0..small[0] * small[1]).map(|i| block(i, small[0], side)).collect();
-        let slant =
-            small_at.iter().map(|px| entering(display.emission_law, beams, tangent(*px))).collect();
+        let slant = small_at.iter().map(|px| entering(display.emission_law, beams, tangent(*px))).collect();
         let large_side = side * LARGE as f64;
         let (min, max) = bounds(cones.cones.iter().flat_map(|c| c.polygon_px.iter().map(|p| *p + first)));
         let size = (max - min).max(DVec2::ZERO);

@@ -116,7 +116,7 @@ impl Tail {
             .map(|cone| {
                 let (centre, factor) = centroid(&cone.polygon_px);
                 let (across, down) = (lagrange(&xs, centre.x), lagrange(&ys, centre.y));
-                                for (sum, (v, u)) in
+                for (sum, (v, u)) in
                     arriving.iter_mut().zip(down.iter().flat_map(|v| across.iter().map(move |u| (v, u))))
                 {
                     *sum = [sum[0] + factor * u * v, sum[1] + factor * cone.pointing * u * v];

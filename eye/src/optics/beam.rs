@@ -71,7 +71,8 @@ impl SchematicEye {
             before = Some((radius, miss));
             self.stop_radius_mm = math::exp(radius - miss / power);
         }
-        let why = format!("no stop of this eye gives an entrance pupil of {pupil_mm} mm; a smaller one is allowed");
+        let why =
+            format!("no stop of this eye gives an entrance pupil of {pupil_mm} mm; a smaller one is allowed");
         Err(OpticsError::Wrong { field: "pupil_mm", why })
     }
 }

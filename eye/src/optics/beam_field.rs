@@ -71,7 +71,8 @@ impl BeamField {
         let across = direction.truncate();
         let angle = across.length().atan2(direction.z);
         let most = MOST_DEG.to_radians();
-        let beyond = if angle > most { (math::sin_cos(angle).1 / math::sin_cos(most).1).max(0.0) } else { 1.0 };
+        let beyond =
+            if angle > most { (math::sin_cos(angle).1 / math::sin_cos(most).1).max(0.0) } else { 1.0 };
         // Interpolate each harmonic over the angle by the barycentric formula.
         let (mut above, mut below) = ([0.0; AZIMUTHS - 1], 0.0);
         for (node, values) in self.harmonics.iter().enumerate() {

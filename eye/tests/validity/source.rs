@@ -18,7 +18,7 @@ use photoneye_eye::display::{Channel, emitters};
 use photoneye_eye::experiment::{ChartRow, Engine, Experiment, Gaze, Pattern, SloanChart, Video};
 use photoneye_eye::exposure::audit::verdict;
 use photoneye_eye::exposure::{Exposure, FrameCounts};
-use photoneye_eye::optics::{Fovea, PupilBundle, PupilRay, Projection, SchematicEye};
+use photoneye_eye::optics::{Fovea, Projection, PupilBundle, PupilRay, SchematicEye};
 use photoneye_eye::plan::{Plan, plan};
 use photoneye_eye::retina::Retina;
 use photoneye_eye::spectrum::Spectrum;
@@ -96,20 +96,27 @@ impl Prepared {
             if light <= 0.0 {
                 continue;
             }
-            let corner = DVec2::new((pixel % display.width_px as usize) as f64, (pixel / display.width_px as usize) as f64);
+            let corner = DVec2::new(
+                (pixel % display.width_px as usize) as f64,
+                (pixel / display.width_px as usize) as f64,
+            );
             for (u, wu) in &rule {
                 for (v, wv) in &rule {
                     let from = (corner + DVec2::new(*u, *v) - centre) * per_px;
                     let tangent = DVec2::new(from.x, -from.y);
                     let cos = 1.0 / 1.0_f64.hypot(tangent.length());
-                    let photons = light * emitter.emitted() * wu * wv / PI * cos.powi(3) / distance_mm.powi(2);
+                    let photons =
+                        light * emitter.emitted() * wu * wv / PI * cos.powi(3) / distance_mm.powi(2);
                     sources.push((tangent, photons));
                 }
             }
         }
         let of_source = |(tangent, photons): &(DVec2, f64)| -> Vec<f64> {
             let wave = Wavelets::new(&self.projection, *tangent, rings);
-            apertures.iter().map(|a| photons * a.iter().map(|(p, area)| area * wave.flux(*p)).sum::<f64>()).collect()
+            apertures
+                .iter()
+                .map(|a| photons * a.iter().map(|(p, area)| area * wave.flux(*p)).sum::<f64>())
+                .collect()
         };
         let sums = sources.par_iter().map(of_source).collect::<Vec<_>>();
         let pigments = Pigments::new().unwrap();
@@ -285,7 +292,12 @@ fn one_pixel(pupil_mm: f64, ecc_deg: f64, target: f64, nodes: usize) -> (f64, f6
         for s in prepared.exposure.audit(0, None, &[], &prepared.exposure.frame(0, None).unwrap()).unwrap() {
             let i = prepared.retina.id.iter().position(|id| *id == s.cone).unwrap();
             let r = prepared.reference(&[i], nodes, rings(pupil_mm))[0];
-            println!("audited {}: engine {:.5} audit {:.5} reference {r:.5}", prepared.retina.center(i), s.value, s.reference);
+            println!(
+                "audited {}: engine {:.5} audit {:.5} reference {r:.5}",
+                prepared.retina.center(i),
+                s.value,
+                s.reference
+            );
         }
     }
     let frame = prepared.exposure.frame(0, None).unwrap();
@@ -314,10 +326,56 @@ fn one_lit_pixel_at_three_millimetres() {
 #[ignore = "some minutes"]
 fn one_lit_pixel_behind_all_pupils() {
     let mut worst = 0.0_f64;
-    for pupil_mm in [3.0, 4.0, 6.0, 8.0] {
+    let only = std::env::var("PUPIL").ok().and_then(|p| p.parse::<f64>().ok());
+    for pupil_mm in [3.0, 4.0, 6.0, 8.0].into_iter().filter(|p| only.is_none_or(|o| (o - p).abs() < 0.1)) {
         for ecc_deg in [0.0, 10.0, 20.0] {
-            worst = worst.max(one_pixel(pupil_mm, ecc_deg, 1e-3, 12).0);
+            worst = worst.max(one_pixel(pupil_mm, ecc_deg, 1e-3, 8).0);
         }
     }
     assert!(worst < 1e-3, "{worst}");
+}
+
+/// Audited cones that are lit, against the reference: PUPIL, ECC, NODES, RINGS and CONES in the environment.
+#[test]
+#[ignore = "some minutes a case"]
+fn audited_cones_against_the_reference() {
+    let get = |name: &str, or: f64| std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(or);
+    let (pupil_mm, ecc_deg) = (get("PUPIL", 6.0), get("ECC", 0.0));
+    let mut experiment = scene(POINT, pupil_mm, ecc_deg, 1e-3);
+    experiment.audit_cones = get("CONES", 16.0) as u32;
+    let knob = |name: &str| std::env::var(name).ok().and_then(|v| v.parse::<f64>().ok());
+    let knobs = &mut experiment.counts.knobs;
+    knobs.field_nodes = knob("FIELD").map(|v| v as u32);
+    knobs.basis_tolerance = knob("BASIS");
+    knobs.band_loss = knob("BAND");
+    knobs.guard_um = knob("GUARD");
+    knobs.spread_width = knob("WIDTH").map(|v| v as u32);
+    knobs.oversampling = knob("OVER");
+    let prepared = Prepared::new(&experiment);
+    let frame = prepared.exposure.frame(0, None).unwrap();
+    let samples = prepared.exposure.audit(0, None, &[], &frame).unwrap();
+    println!("{:?}", verdict(&samples, false));
+    if knob("NODES") == Some(0.0) {
+        for s in samples.iter().filter(|s| s.value > 1.0) {
+            println!("{:.4} {:+.2e}", s.value, s.value / s.reference - 1.0);
+        }
+        return;
+    }
+    let most = prepared.means().into_iter().fold(0.0, f64::max);
+    let lit: Vec<_> = samples.iter().filter(|s| s.value > 0.02 * most).collect();
+    let index = |cone: u64| prepared.retina.id.iter().position(|id| *id == cone).unwrap();
+    let cones: Vec<usize> = lit.iter().map(|s| index(s.cone)).collect();
+    let reference = prepared.reference(&cones, get("NODES", 20.0) as usize, get("RINGS", 40.0) as usize);
+    for (s, r) in lit.iter().zip(&reference) {
+        let at = prepared.retina.center(index(s.cone));
+        println!(
+            "{pupil_mm} mm {ecc_deg}°, {at}: {r:.5}; engine {:+.1e}, audit {:+.1e}",
+            s.value / r - 1.0,
+            s.reference / r - 1.0
+        );
+    }
+    let sum: f64 = reference.iter().sum();
+    let l1 =
+        |of: &dyn Fn(usize) -> f64| (0..lit.len()).map(|k| (of(k) - reference[k]).abs()).sum::<f64>() / sum;
+    println!("engine {:.1e}, audit {:.1e}", l1(&|k| lit[k].value), l1(&|k| lit[k].reference));
 }

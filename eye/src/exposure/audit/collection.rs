@@ -2,7 +2,7 @@
 //! counted at the offset ρ of the cone from that point's image.
 //!
 //! Each source point has a PSF of its own. Around a cone at x they are traced at x itself and at a few source points beside it
-//! (two up to 4 mm of pupil, five beyond), and a source at an offset δ on the screen has the PSF
+//! (two where the geometric spot is small, five elsewhere), and a source at an offset δ on the screen has the PSF
 //! `p(ρ; δ) = p₀(ρ) + Σ_s L_s(δ) [p_s − p₀](ρ)`, L the polynomials of the first or second degree through these points. ρ is the
 //! exact offset `−X(δ)`, X the map of chief rays about x to second order. The differences are taken at every second
 //! wavelength: they are small.
@@ -112,7 +112,7 @@ impl Collection {
         let spreads = weigh(&own, optics.step_nm);
         // Source points beside it, at every second wavelength: what is different there.
         let spot = waves.iter().map(spot_radius_um).fold(0.0, f64::max);
-        let stencil = Stencil::new(optics.projection.eye().state().pupil_mm, spot / local.um_per_tangent());
+        let stencil = Stencil::new(spot / local.um_per_tangent());
         let coarse = own.every_second(optics.step_nm);
         let coarse_step = 2.0 * optics.step_nm;
         let base = weigh(&coarse, coarse_step);
@@ -198,7 +198,11 @@ impl Collection {
             0.0
         } else {
             let weights = self.stencil.weights(offset);
-            self.beside.iter().zip(weights).map(|(s, weight)| weight * self.read(&s[primary], rho, false)).sum()
+            self.beside
+                .iter()
+                .zip(weights)
+                .map(|(s, weight)| weight * self.read(&s[primary], rho, false))
+                .sum()
         };
         self.local.light(offset) * (own + change)
     }

@@ -11,8 +11,8 @@ use super::collection::Optics;
 const STEP: f64 = 2e-3;
 /// Offsets up to which light and image are taken to second order, unit tangents (1.7°).
 const NEAR: f64 = 0.03;
-/// Largest pupil for which PSFs change over a PSF's width in proportion to the place, mm.
-const LINEAR_MM: f64 = 4.0;
+/// Largest geometric spot over which PSFs change in proportion to the place, radius in unit tangents (12 µm).
+const LINEAR: f64 = 7e-4;
 /// Distance of the source points beside a cone's own place over the radius of the geometric spot, and its range, unit tangents.
 const PART: f64 = 0.5;
 const RANGE: [f64; 2] = [4e-4, 4e-3];
@@ -100,9 +100,9 @@ pub struct Stencil {
 }
 
 impl Stencil {
-    /// For a pupil (mm) and the radius of the geometric spot on the screen (unit tangents).
-    pub fn new(pupil_mm: f64, spot: f64) -> Self {
-        Self { step: (PART * spot).clamp(RANGE[0], RANGE[1]), quadratic: pupil_mm > LINEAR_MM }
+    /// For the radius of the geometric spot on the screen (unit tangents).
+    pub fn new(spot: f64) -> Self {
+        Self { step: (PART * spot).clamp(RANGE[0], RANGE[1]), quadratic: spot > LINEAR }
     }
 
     /// The offsets of the points, unit tangents.
@@ -119,7 +119,13 @@ impl Stencil {
             return [x, y, 0.0, 0.0, 0.0];
         }
         // Polynomials of the second degree that are 1 at one point and 0 at the others and at the middle.
-        [0.5 * x * (x + 1.0) - x * y, 0.5 * y * (y + 1.0) - x * y, 0.5 * x * (x - 1.0), 0.5 * y * (y - 1.0), x * y]
+        [
+            0.5 * x * (x + 1.0) - x * y,
+            0.5 * y * (y + 1.0) - x * y,
+            0.5 * x * (x - 1.0),
+            0.5 * y * (y - 1.0),
+            x * y,
+        ]
     }
 }
 
@@ -129,11 +135,11 @@ mod tests {
 
     #[test]
     fn polynomials_through_the_points() {
-        for (pupil_mm, f) in [
-            (3.0, (|p: DVec2| 2.0 * p.x - p.y) as fn(DVec2) -> f64),
-            (6.0, |p| p.x - 3.0 * p.y + 2.0 * p.x * p.x - p.x * p.y + 0.5 * p.y * p.y),
+        for (spot, f) in [
+            (6e-4, (|p: DVec2| 2.0 * p.x - p.y) as fn(DVec2) -> f64),
+            (2e-3, |p| p.x - 3.0 * p.y + 2.0 * p.x * p.x - p.x * p.y + 0.5 * p.y * p.y),
         ] {
-            let stencil = Stencil::new(pupil_mm, 2e-3);
+            let stencil = Stencil::new(spot);
             let at = DVec2::new(1.3e-3, -2.1e-3);
             let weights = stencil.weights(at);
             let made: f64 = stencil.offsets().iter().zip(weights).map(|(p, w)| w * f(*p)).sum();
