@@ -313,7 +313,9 @@ impl Paper {
             tally.budget.stiles_crawford += 1.0;
             return;
         }
-        let absorptance = -(-cone.density * self.absorbance[cone.cone_type as usize][channel]).exp_m1();
+        // A cone of a population may accept more than the law's peak (`cone::directional`): the excess goes into what it absorbs.
+        let absorptance = -(-cone.density * self.absorbance[cone.cone_type as usize][channel]).exp_m1()
+            * cone.guided.max(1.0);
         if stream.uniform() >= absorptance {
             tally.budget.not_absorbed += 1.0;
         } else if stream.uniform() >= ISOMERIZATION {

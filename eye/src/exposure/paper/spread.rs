@@ -36,9 +36,9 @@ impl Spread {
         let bundle = random_bundle(projection, object, nm, settings.rays, stream)?;
         let half_width_um = 0.5 * settings.window_um.max(spread_width_um(projection, &bundle));
         let eye = projection.eye();
-        let entrance_mm = eye.stop_radius_mm() * eye.stop_magnification();
-        let apodized = |stop: DVec2| 10_f64.powf(-0.5 * rho * (stop * entrance_mm).length_squared());
-        let amplitudes: Vec<f64> = bundle.rays.iter().map(|r| apodized(r.stop)).collect();
+        let entrance_mm = eye.entrance_radius_mm().map_err(|e| e.to_string())?;
+        let apodized = |at: DVec2| 10_f64.powf(-0.5 * rho * (at * entrance_mm).length_squared());
+        let amplitudes: Vec<f64> = bundle.rays.iter().map(|r| apodized(bundle.entrance(r))).collect();
         let cumulative = cumulative(&bundle, &amplitudes, samples, half_width_um);
         let row_ends = cumulative.chunks_exact(samples).map(|row| row[row.len() - 1]).collect();
         Ok(Self { cumulative, row_ends, half_width_um, samples })
