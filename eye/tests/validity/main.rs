@@ -12,3 +12,4 @@ mod support;
 
 mod direction;
 mod media;
+mod paper;

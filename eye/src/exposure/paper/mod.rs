@@ -11,7 +11,7 @@
 //! The printed SCE-I factor depends on the cone's own pointing only; the part common to all cones, which other engines have as
 //! an apodization, is its mean here, so that engines can be compared.
 
-mod spread;
+pub(crate) mod spread;
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -325,6 +325,11 @@ impl Paper {
             tally.budget.isomerized[cone.cone_type as usize] += 1.0;
         }
     }
+}
+
+/// The wavelength (nm) that a photon is given.
+pub(crate) fn snapped_nm(nm: f64) -> f64 {
+    MIN_NM + CHANNEL_NM * channel(nm) as f64
 }
 
 fn channel(nm: f64) -> usize {
