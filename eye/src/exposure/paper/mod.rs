@@ -65,7 +65,8 @@ pub struct Paper {
     seed: u64,
     /// `[type][channel]`, peak 1.
     absorbance: [Vec<f64>; 3],
-    paths: Paths,
+    /// `[channel]`.
+    paths: Vec<Paths>,
     scene: Scene,
     index: ConeIndex,
     cones: Vec<Catch>,
@@ -128,7 +129,7 @@ impl Paper {
             settings: experiment.counts.paper,
             seed: experiment.counts.seed,
             absorbance,
-            paths: kernels.paths(),
+            paths: (0..CHANNELS).map(|c| kernels.paths_at(MIN_NM + CHANNEL_NM * c as f64)).collect(),
             scene: scene.clone(),
             index: ConeIndex::new(retina),
             cones,
@@ -170,8 +171,8 @@ impl Paper {
             landing_um: projection.retina_um(tangent, nm).map_err(|e| e.to_string())?,
             passed: [
                 1.0 - media.reflected(nm),
-                media.cornea(nm, self.paths.cornea) / (1.0 - media.reflected(nm)),
-                media.lens(nm, self.paths.lens),
+                media.cornea(nm, self.paths[channel].cornea) / (1.0 - media.reflected(nm)),
+                media.lens(nm, self.paths[channel].lens),
                 media.macula(nm, tangent.length().atan().to_degrees()),
             ],
         })
