@@ -100,7 +100,7 @@ fn tables(p: &Prescription) -> Result<(), OpticsError> {
                     distance_mm: 2400.0,
                     half_deg,
                     nodes,
-                    stiles_crawford_rho10_per_mm2: 0.05,
+                    stiles_crawford_rho10_per_mm2: photoneye_eye::cone::directional::DEFAULT_RHO10_PER_MM2,
                 };
                 let made = spec.build()?;
                 let one = best(20, || made.at(DVec2::splat(0.3 * half_deg.to_radians())));

@@ -5,6 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::cone::directional::PointingLaw;
 use crate::digest::{Digest, digest_of};
 use crate::display::Display;
 use crate::optics::{Dispersion, OpticsError, Prescription, Side};
@@ -63,12 +64,16 @@ pub struct Eye {
     pub dispersion: Dispersion,
     /// Peak density (log10) of the macular pigment in the foveal centre.
     pub macular_peak_density: f64,
-    /// Factor on the density of cornea and lens.
+    /// Factor on the density of the lens.
     pub lens_density_scale: f64,
+    /// Factor on the density of the cornea.
+    pub cornea_density_scale: f64,
     /// Stiles-Crawford coefficient as a base-10 exponent, 1/mm² of entrance pupil; 0 is off.
     pub stiles_crawford_rho10_per_mm2: f64,
     /// Standard deviation of a cone's pointing error, degrees, per axis.
     pub pointing_sd_deg: f64,
+    /// Whose law the coefficient is: the population's or each cone's.
+    pub pointing_law: PointingLaw,
     /// The eye's data when they are not those of the preset as they stand.
     pub prescription: Option<Box<Prescription>>,
     /// Whether the eye stays unaccommodated, whatever it looks at.
@@ -435,6 +440,7 @@ impl Eye {
         check_range("eye.focus.wavelength_nm", self.focus_wavelength_nm, 390.0, 830.0)?;
         check_range("eye.macular_peak_density", self.macular_peak_density, 0.0, 2.0)?;
         check_range("eye.lens_density_scale", self.lens_density_scale, 0.0, 5.0)?;
+        check_range("eye.cornea_density_scale", self.cornea_density_scale, 0.0, 5.0)?;
         check_range("eye.stiles_crawford.rho_per_mm2", self.stiles_crawford_rho10_per_mm2, 0.0, 0.2)?;
         if let Some(stray) = self.stray_light {
             check_range("eye.stray_light.age_years", stray.age_years, 1.0, 100.0)?;

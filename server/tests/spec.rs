@@ -7,6 +7,7 @@
     reason = "a test says by panicking what is wrong"
 )]
 
+use photoneye_eye::cone::directional::PointingLaw;
 use photoneye_eye::display::White;
 use photoneye_eye::experiment::{Experiment, Movement, Video};
 use photoneye_eye::optics::{Dispersion, Prescription};
@@ -152,6 +153,11 @@ fn errors_name_the_field_and_what_is_allowed() {
             "eye.stiles_crawford.rho_per_mm2: 1 is out of range",
         ),
         (
+            "eye",
+            json!({"cornea_density_scale": 6}),
+            "eye.cornea_density_scale: 6 is out of range, allowed is 0 to 5",
+        ),
+        (
             "retina",
             json!({"cell_walls": "AVERAGING"}),
             "retina.cell_walls: 1 is out of range, allowed is AVERAGING with",
@@ -285,6 +291,20 @@ fn scattered_and_reflected_light() {
     assert!(own(json!({})).stray_light.is_none());
     let error = read(&with("eye", json!({"stray_light": {"age_years": 200}}))).unwrap_err();
     assert!(error.starts_with("eye.stray_light.age_years: 200 is out of range"), "{error}");
+}
+
+/// The default coefficient depends on the base; a scale of the cornea is no data of the eye's surfaces.
+#[test]
+fn directional_sensitivity_and_the_cornea_s_scale() {
+    let own = |eye: Value| read(&with("eye", eye)).unwrap().eye;
+    let usual = own(json!({}));
+    assert_eq!((usual.stiles_crawford_rho10_per_mm2, usual.pointing_law), (0.0415, PointingLaw::Population));
+    let paper = own(json!({"stiles_crawford": {"base": "E", "pointing": "PAPER"}}));
+    assert!((paper.stiles_crawford_rho10_per_mm2 - 0.05 / std::f64::consts::LN_10).abs() < 1e-15);
+    assert_eq!(paper.pointing_law, PointingLaw::Paper);
+    let scaled = own(json!({"cornea_density_scale": 2, "lens_density_scale": 0.5}));
+    assert_eq!((scaled.cornea_density_scale, scaled.lens_density_scale), (2.0, 0.5));
+    assert!(scaled.prescription.is_none());
 }
 
 #[test]

@@ -6,9 +6,9 @@ use super::pixel_light::FirstShown;
 use super::primaries::Primaries;
 use super::scene::Scene;
 use super::source::Projector;
-use crate::cone::directional::Pointing;
+use crate::cone::directional::{Pointing, PointingSpec};
 use crate::display::{emitters, pupil_share};
-use crate::experiment::Experiment;
+use crate::experiment::{Experiment, RangeError};
 use crate::optics::{BeamField, Prescription, Projection};
 use crate::plan::Rule;
 use crate::plan::setup::{Setup, setup};
@@ -58,11 +58,10 @@ impl Inputs {
         let scene = setup.scene(experiment, &tile).map_err(|e| model(e.to_string()))?;
         let number = setup.tiles.iter().position(|one| *one == tile).unwrap_or(0);
         let (first_tile, tiles) = (setup.tiles.first() == Some(&tile), [number, setup.tiles.len()]);
-        let Setup { prescription, projection, gaze, .. } = setup;
+        let pointing = pointing_of(experiment, &setup).map_err(|e| model(e.to_string()))?;
+        let Setup { projection, gaze, .. } = setup;
         let eye = &experiment.eye;
         let beams = BeamField::new(&projection).map_err(|e| model(e.to_string()))?;
-        let per_radian = mm_per_radian(&projection, &prescription);
-        let pointing = Pointing::new(eye.stiles_crawford_rho10_per_mm2, eye.pupil_mm, per_radian);
         let pointing = (!small_pointing(experiment, &pointing)).then_some(pointing);
         let display = experiment.display.clone();
         let projector = Projector {
@@ -86,9 +85,10 @@ impl Inputs {
     }
 }
 
-/// Largest effect of pointing errors on a mean: that of a cone three standard deviations off.
+/// Largest effect of pointing errors on a mean: that of a cone three standard deviations off, or of one without error.
 pub fn pointing_effect(experiment: &Experiment, pointing: &Pointing) -> f64 {
-    1.0 - pointing.factor(3.0 * experiment.eye.pointing_sd_deg.to_radians())
+    let far = 3.0 * experiment.eye.pointing_sd_deg.to_radians();
+    [0.0, far].map(|radians| (pointing.factor(radians) - 1.0).abs()).into_iter().fold(0.0, f64::max)
 }
 
 /// Whether pointing errors change less than a hundredth of the target.
@@ -98,10 +98,25 @@ fn small_pointing(experiment: &Experiment, pointing: &Pointing) -> bool {
 }
 
 /// The factor of an experiment's cones.
-pub fn pointing_of(experiment: &Experiment, setup: &Setup) -> Pointing {
+///
+/// # Errors
+/// A pointing error that is wider than the population's law.
+pub fn pointing_of(experiment: &Experiment, setup: &Setup) -> Result<Pointing, RangeError> {
     let eye = &experiment.eye;
-    let per_radian = mm_per_radian(&setup.projection, &setup.prescription);
-    Pointing::new(eye.stiles_crawford_rho10_per_mm2, eye.pupil_mm, per_radian)
+    let spec = PointingSpec {
+        rho10_per_mm2: eye.stiles_crawford_rho10_per_mm2,
+        sd_rad: eye.pointing_sd_deg.to_radians(),
+        law: eye.pointing_law,
+        pupil_mm: eye.pupil_mm,
+        mm_per_radian: mm_per_radian(&setup.projection, &setup.prescription),
+    };
+    Pointing::new(&spec).map_err(|most| {
+        let allowed = format!(
+            "0 to {:.2}: the law with this rho is of a population, pointing errors included",
+            (100.0 * most.to_degrees()).floor() / 100.0
+        );
+        RangeError::new("eye.stiles_crawford.perturbation_deg", eye.pointing_sd_deg, &allowed)
+    })
 }
 
 /// Distance in the entrance pupil per angle at the cone, mm/rad: the posterior focal length n'/P, paraxially.

@@ -67,8 +67,10 @@ pub struct KernelSpec {
     pub nodes_nm: Vec<f64>,
     /// Spectra of the primaries (radiant power).
     pub primaries: Vec<Spectrum>,
-    /// Factor on the density of cornea and lens.
+    /// Factor on the density of the lens.
     pub lens_density_scale: f64,
+    /// Factor on the density of the cornea.
+    pub cornea_density_scale: f64,
     /// Peak density of the macula.
     pub macular_peak_density: f64,
     /// Whether reflections at the surfaces are computed instead of the cornea's flat density.
@@ -142,7 +144,8 @@ impl KernelSpec {
     /// # Errors
     /// When the embedded tables cannot be read.
     pub fn absorbers(&self) -> Result<Absorbers, String> {
-        let mut media = Media::new(self.lens_density_scale, self.macular_peak_density)?;
+        let mut media = Media::new(self.lens_density_scale, self.macular_peak_density)?
+            .with_cornea_scale(self.cornea_density_scale);
         if self.reflection_losses {
             let eye = SchematicEye::new(&self.prescription, &self.state).map_err(|e| e.to_string())?;
             media = media.with_reflections(|nm| eye.indices(nm));

@@ -24,7 +24,7 @@ mod light;
 mod lowrank;
 pub(crate) mod nodes;
 pub(crate) mod padua;
-mod paper;
+pub(crate) mod paper;
 mod picture_spectrum;
 mod pixel_light;
 mod poisson;

@@ -214,4 +214,18 @@ impl SchematicEye {
         let traced = self.trace_with(&aimer.launch(uv).0, &aimer.indices);
         if traced.fate == RayFate::Arrived { Ok(traced) } else { Err(lost) }
     }
+
+    /// Radius (mm) of the entrance pupil as the light of the foveal centre meets it, without its aberration: stop radius times √det of
+    /// d(launch)/d(stop) at the foveal chief ray, at the reference wavelength.
+    ///
+    /// # Errors
+    /// [`OpticsError::NoRay`] when that ray does not reach the stop.
+    pub fn entrance_radius_mm(&self) -> Result<f64, OpticsError> {
+        let p = self.prescription();
+        let object = Object::field(p.fovea_angle_deg, 1e3 / self.object_distance_mm())?;
+        let aimer = Aimer::new(self, object, p.reference_wavelength_nm)?;
+        let slope = aimer.chief().and_then(|uv| aimer.slope(uv));
+        let slope = slope.ok_or(OpticsError::NoRay { angle_deg: object.angle_deg() })?;
+        Ok(self.stop_radius_mm() / slope.determinant().abs().sqrt())
+    }
 }

@@ -76,6 +76,8 @@ pub struct PupilBundle {
     pub edge: Vec<PupilRay>,
     /// How the rays and those of the edge were launched.
     launches: [Vec<Launch>; 2],
+    /// Launch point of the chief ray, mm, and d(launch)/d(stop) there, mm per stop radius.
+    chief_launch: (DVec2, DMat2),
 }
 
 struct Sphere {
@@ -200,7 +202,16 @@ impl PupilBundle {
             rays,
             edge,
             launches: [inner, outer],
+            chief_launch: (chief_uv, inverse * eye.stop_radius_mm()),
         })
+    }
+
+    /// Where a ray enters, from the chief ray, in radii of the entrance pupil ([`SchematicEye::entrance_radius_mm`]): `r = M⁻¹ (l - l₀)`,
+    /// l the place in the launch plane, M = d(l)/d(stop) at the chief ray. To first order the place in the stop; the difference is the
+    /// aberration of the entrance pupil.
+    pub fn entrance(&self, ray: &PupilRay) -> DVec2 {
+        let (chief, slope) = self.chief_launch;
+        slope.inverse() * (ray.launch - chief)
     }
 
     /// Wavelength in the vitreous, mm.
@@ -266,7 +277,7 @@ impl Tracer<'_> {
     /// A measured wavefront error at a place of the stop, mm of air; 0 at its centre.
     fn extra_mm(&self, stop: DVec2) -> f64 {
         let Some((eye, wavefront)) = self.aimer.extra() else { return 0.0 };
-        let radius_mm = eye.entrance_radius_mm();
+        let radius_mm = 0.5 * eye.state().pupil_mm;
         let at = |p: DVec2| wavefront.error_um(eye.state().side, p * radius_mm);
         1e-3 * (at(stop) - at(DVec2::ZERO))
     }

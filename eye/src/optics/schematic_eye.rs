@@ -206,11 +206,6 @@ impl SchematicEye {
         self.stop_radius_mm
     }
 
-    /// Radius of the entrance pupil as seen along the line of sight, mm: what a place at the rim of the stop is at.
-    pub fn entrance_radius_mm(&self) -> f64 {
-        0.5 * self.state.pupil_mm
-    }
-
     /// Paraxial entrance pupil diameter / stop diameter (unaccommodated, reference wavelength).
     pub fn stop_magnification(&self) -> f64 {
         self.stop_magnification

@@ -11,7 +11,11 @@ use super::setup::{UM_PER_TANGENT, cutoff};
 use super::wavelengths::Wavelengths;
 use super::{ErrorPart, Knobs, Numerics, PlanError, PlannedTile};
 use crate::experiment::{Engine, Experiment, Movement, RangeError};
+use crate::exposure::paper::{snapped_nm, spread::beyond_window};
 use crate::exposure::scene::Scene;
+use crate::exposure::spectral::{Kind, Paths, Share};
+use crate::psf::{StilesCrawfordApodization, WavefrontOptions};
+use crate::retina::ConeType;
 
 /// Energy of a diffraction-limited spread beyond a radius R is about λ/(π² NA R); λ in the vitreous over NA, µm, at 3 mm.
 const TAIL_UM: f64 = 0.62;
@@ -116,6 +120,9 @@ pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wa
     if experiment.counts.engine == Engine::Events {
         return drawn(experiment, wavelengths);
     }
+    if experiment.counts.engine == Engine::Paper {
+        return paper(experiment, tiles, wavelengths);
+    }
     let limited = tiles.iter().any(|t| t.scene.band < cutoff(experiment));
     let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0);
     // A line needs no steps.
@@ -150,6 +157,51 @@ pub(super) fn drawn(experiment: &Experiment, wavelengths: &Wavelengths) -> Vec<E
         part("tables of spreads", TABLES * pupil.powi(3)),
         part("Poisson draws", 0.0),
     ]
+}
+
+/// What the paper's method leaves, computed for the middle of the picture: how much light its window holds too much, and how much the counts of
+/// all cones change when each photon is given the nearest of its wavelengths.
+fn paper(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wavelengths) -> Vec<ErrorPart> {
+    let part = |part: &str, relative: f64| ErrorPart { part: part.into(), relative };
+    let settings = experiment.counts.paper;
+    let nm = wavelengths.nodes_nm.get(wavelengths.nodes_nm.len() / 2).copied().unwrap_or(555.0);
+    let rho_base10_per_mm2 = experiment.eye.stiles_crawford_rho10_per_mm2;
+    let stiles_crawford =
+        (rho_base10_per_mm2 > 0.0).then_some(StilesCrawfordApodization { rho_base10_per_mm2 });
+    let options = WavefrontOptions { stiles_crawford, ..WavefrontOptions::default() };
+    let beyond = tiles.first().and_then(|tile| {
+        let projection = tile.kernels.projection().ok()?;
+        let object = projection.object(DVec2::ZERO);
+        beyond_window(&projection, object, nm, settings.window_um, &options).ok()
+    });
+    vec![
+        part("light beyond the window, put back into it", beyond.unwrap_or(1.0)),
+        part("wavelengths snapped", tiles.first().and_then(|tile| snapped(tile).ok()).unwrap_or(1.0)),
+        part("wavelengths left out", wavelengths.outside),
+        part("Poisson draws", 0.0),
+    ]
+}
+
+/// Largest relative change, over primaries, of what L and M cones of the foveal centre count when wavelengths are snapped.
+fn snapped(tile: &PlannedTile) -> Result<f64, String> {
+    let absorbers = tile.kernels.absorbers()?;
+    let paths = Paths { cornea: 1.0, lens: 1.0 };
+    let caught = |nm: f64| -> f64 {
+        [ConeType::L, ConeType::M]
+            .map(|cone| absorbers.caught_at(Kind::Isomerized(cone), nm, 0.0, paths))
+            .iter()
+            .sum()
+    };
+    let change = |shares: &Vec<Share>| {
+        let [exact, near] = [0, 1].map(|k| {
+            shares
+                .iter()
+                .map(|(nm, share)| share * caught(if k == 0 { *nm } else { snapped_nm(*nm) }))
+                .sum::<f64>()
+        });
+        if exact > 0.0 { (near / exact - 1.0).abs() } else { 0.0 }
+    };
+    Ok(tile.kernels.shares().iter().map(change).fold(0.0, f64::max))
 }
 
 /// Whether a target is met by the settings that were chosen for it. Settings by hand and engines that draw photons are not judged.

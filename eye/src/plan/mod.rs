@@ -24,6 +24,7 @@ use crate::display::emitters;
 use crate::experiment::{Engine, Experiment};
 use crate::exposure::KernelSpec;
 use crate::exposure::field::table_for;
+use crate::exposure::inputs::pointing_of;
 use crate::exposure::padua::FieldNodes;
 use crate::exposure::scene::Scene;
 use crate::exposure::spectral::Absorbers;
@@ -148,6 +149,7 @@ pub fn plan(experiment: &Experiment) -> Result<Plan, PlanError> {
 pub fn plan_on(experiment: &Experiment, machine: &Machine) -> Result<Plan, PlanError> {
     experiment.validate()?;
     let setup = setup::setup(experiment)?;
+    pointing_of(experiment, &setup)?;
     let wavelengths = lit_wavelengths(experiment)?;
     let tiles = planned_tiles(experiment, &setup, &wavelengths.nodes_nm)?;
     let cost = cost::predict(experiment, &setup, &tiles, machine);
@@ -207,7 +209,8 @@ fn lit_wavelengths(experiment: &Experiment) -> Result<wavelengths::Wavelengths, 
     let emitters = emitters(&experiment.display).map_err(PlanError::Model)?;
     let absorbers = Absorbers {
         media: Media::new(experiment.eye.lens_density_scale, experiment.eye.macular_peak_density)
-            .map_err(PlanError::Model)?,
+            .map_err(PlanError::Model)?
+            .with_cornea_scale(experiment.eye.cornea_density_scale),
         pigments: Pigments::new().map_err(PlanError::Model)?.with_unbleached(part_unbleached(experiment)),
     };
     Ok(wavelengths::choose(experiment, &emitters, &lit::primaries(experiment), &absorbers))
@@ -350,6 +353,7 @@ fn kernel_spec(
         nodes_nm,
         primaries: lit::spectra(experiment),
         lens_density_scale: experiment.eye.lens_density_scale,
+        cornea_density_scale: experiment.eye.cornea_density_scale,
         macular_peak_density: experiment.eye.macular_peak_density,
         reflection_losses: experiment.eye.reflection_losses,
         stiles_crawford_rho10_per_mm2: experiment.eye.stiles_crawford_rho10_per_mm2,

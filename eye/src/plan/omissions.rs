@@ -9,6 +9,7 @@ use super::rules::Rule;
 use super::setup::{MARGIN_UM, Setup, UM_PER_TANGENT, cutoff};
 use super::wavelengths::Wavelengths;
 use super::{Numerics, Omission, PlannedTile, error, lit};
+use crate::cone::directional::DEFAULT_RHO10_PER_MM2;
 use crate::cone::pigment::unbleached;
 use crate::display::{FORGOTTEN, Levels, Primary, Waveform};
 use crate::experiment::{Engine, Experiment, StrayLight};
@@ -197,7 +198,7 @@ fn blind_types(look: &Look) -> Option<Omission> {
 }
 
 fn pointing(look: &Look) -> Option<Omission> {
-    let effect = pointing_effect(look.experiment, &pointing_of(look.experiment, look.setup));
+    let effect = pointing_effect(look.experiment, &pointing_of(look.experiment, look.setup).ok()?);
     let small = effect < POINTING_SHARE * look.experiment.accuracy_target;
     small.then(|| omission("pointing errors of cones", "they change less than the target asks", effect))
 }
@@ -230,7 +231,7 @@ fn ghosts(look: &Look) -> Option<Omission> {
 
 fn directional(look: &Look) -> Option<Omission> {
     let eye = &look.experiment.eye;
-    let lost = 0.05 * std::f64::consts::LN_10 * eye.pupil_mm.powi(2) / 8.0;
+    let lost = DEFAULT_RHO10_PER_MM2 * std::f64::consts::LN_10 * eye.pupil_mm.powi(2) / 8.0;
     (eye.stiles_crawford_rho10_per_mm2 <= 0.0).then(|| {
         omission("directional sensitivity of the cones", "the experiment switches it off", lost.min(1.0))
     })

@@ -94,11 +94,11 @@ pub(super) fn weights(
     options: &WavefrontOptions,
 ) -> Result<Vec<f64>, OpticsError> {
     let rho = options.stiles_crawford.map_or(0.0, |s| s.rho_base10_per_mm2);
-    let entrance_mm = eye.entrance_radius_mm();
+    let entrance_mm = eye.entrance_radius_mm()?;
     let mut weights: Vec<f64> = bundle
         .rays
         .iter()
-        .map(|r| r.weight * 10.0_f64.powf(-0.5 * rho * (r.stop * entrance_mm).length_squared()))
+        .map(|r| r.weight * 10.0_f64.powf(-0.5 * rho * (bundle.entrance(r) * entrance_mm).length_squared()))
         .collect();
     if options.amplitude == Amplitude::Flux {
         let around = [DVec2::X, DVec2::NEG_X, DVec2::Y, DVec2::NEG_Y];

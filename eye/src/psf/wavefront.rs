@@ -6,7 +6,7 @@
 //! * the amplitude A(s) per ds: `Flux` A² = d(flux)/ds, so that ∫|field|² is the flux; `Uniform` A = d(stop area)/ds,
 //!   every part of the stop weighs the same (ray-counting packages do this).
 //!
-//! A Stiles–Crawford apodization multiplies the amplitude by 10^(−ρ r²/2), r in mm of the entrance pupil.
+//! A Stiles–Crawford apodization multiplies the amplitude by 10^(−ρ r²/2), r in mm of the entrance pupil, where the ray is traced to enter.
 
 use super::chords::Chords;
 use super::least_squares::LeastSquares;
@@ -130,11 +130,13 @@ impl Wavefront {
         let rho = options.stiles_crawford.map_or(0.0, |s| s.rho_base10_per_mm2);
         crate::optics::error::in_range("rho_base10_per_mm2", rho, -0.5, 0.5)?;
         let bundles = PupilBundle::trace_series(eye, object, wavelengths_nm, &points, &rim)?;
+        // Per entrance pupil radius².
+        let rho = rho * eye.entrance_radius_mm()?.powi(2);
         let fitted = |bundle: &PupilBundle| Self::fitted(eye, bundle, options.amplitude, rho, degree, object);
         bundles.iter().map(fitted).collect()
     }
 
-    /// The wavefront through the rays of a bundle.
+    /// The wavefront through the rays of a bundle; `rho` is per entrance pupil radius².
     fn fitted(
         eye: &SchematicEye,
         bundle: &PupilBundle,
@@ -336,7 +338,6 @@ impl Fitted {
         let (launch_x, launch_y) =
             (design.fit(rays().map(|r| r.launch.x)), design.fit(rays().map(|r| r.launch.y)));
         let per_s = Jacobians::new([&stop_x, &stop_y, &launch_x, &launch_y]);
-        let entrance_mm = eye.entrance_radius_mm();
         let (mut flux, mut sum, mut open, mut kept) = (0.0, 0.0, 0.0, 0.0);
         // Light that the cones accept, its paths in cornea and lens, and the square of the last.
         let (mut accepted, mut cornea, mut lens, mut square) = (0.0, 0.0, 0.0, 0.0);
@@ -348,7 +349,7 @@ impl Fitted {
                 Amplitude::Flux => flux_density.sqrt(),
                 Amplitude::Uniform => stop_area,
             };
-            let apodization = 10.0_f64.powf(-0.5 * rho * (ray.stop * entrance_mm).length_squared());
+            let apodization = 10.0_f64.powf(-0.5 * rho * bundle.entrance(ray).length_squared());
             amplitudes.push(amplitude * apodization);
             // d(stop) = stop_area·ds turns the weights of the stop into sums over s.
             let ds = ray.weight / stop_area;

@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
 use photoneye_eye::artifact::Input;
+use photoneye_eye::cone::directional::{DEFAULT_RHO10_PER_MM2, PointingLaw};
 use photoneye_eye::digest::Digest;
 use photoneye_eye::display::{Channel, Display, EmissionLaw, Panel, Primary, Transfer, Waveform, White};
 use photoneye_eye::experiment::{
@@ -49,8 +50,10 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             dispersion: Dispersion::Herzberger,
             macular_peak_density: 0.404,
             lens_density_scale: 1.0,
-            stiles_crawford_rho10_per_mm2: 0.05,
+            cornea_density_scale: 1.0,
+            stiles_crawford_rho10_per_mm2: DEFAULT_RHO10_PER_MM2,
             pointing_sd_deg: 1.0,
+            pointing_law: PointingLaw::Population,
             prescription: None,
             relaxed: false,
             reflection_losses: false,

@@ -7,6 +7,9 @@
     reason = "tests fail by panicking and print what they find"
 )]
 
+mod direction;
+mod media;
+mod paper;
 mod pupil;
 mod source;
 #[path = "../support/mod.rs"]

@@ -4,6 +4,7 @@
 //! refused with the field's path.
 
 use photoneye_eye::catalog;
+use photoneye_eye::cone::directional::{DEFAULT_RHO10_PER_MM2, PointingLaw};
 use photoneye_eye::experiment::{Eye, StrayLight};
 use photoneye_eye::optics::pupil::{PupilLaw, PupilScene, decentre_mm};
 use photoneye_eye::optics::{Dispersion, OpticsError, Prescription, Side};
@@ -14,6 +15,9 @@ use super::read::{choice, in_range, needed, number};
 
 /// The eye that is taken when none is named.
 pub const DEFAULT_EYE: &str = "escudero-sanz-navarro";
+
+/// The paper's Stiles-Crawford coefficient, of e^(-ρ r²), 1/mm².
+const PAPER_RHO_PER_MM2: f64 = 0.05;
 
 /// What is taken as a whole when it is given, not field by field.
 const WHOLE: [&str; 6] =
@@ -36,7 +40,7 @@ pub(super) fn eye(spec: Option<&v1::Eye>, distance_cm: f64) -> Result<Eye, Field
         None => Prescription::preset(&preset).map_err(|e| refused("eye", e))?,
     };
     let focus = spec.focus.unwrap_or_default();
-    let (rho10, pointing_sd_deg) = stiles_crawford(spec.stiles_crawford.as_ref())?;
+    let (rho10, pointing_sd_deg, pointing_law) = stiles_crawford(spec.stiles_crawford.as_ref())?;
     let pupil_mm = pupil_mm(&spec)?;
     let shift = number(spec.pupil_shift_mm_per_mm, 0.0);
     let shift = in_range("eye.pupil_shift_mm_per_mm", shift, -0.1, 0.1)?;
@@ -55,8 +59,10 @@ pub(super) fn eye(spec: Option<&v1::Eye>, distance_cm: f64) -> Result<Eye, Field
         dispersion,
         macular_peak_density: number(spec.macular_peak_density, 0.404),
         lens_density_scale: number(spec.lens_density_scale, 1.0),
+        cornea_density_scale: number(spec.cornea_density_scale, 1.0),
         stiles_crawford_rho10_per_mm2: rho10,
         pointing_sd_deg,
+        pointing_law,
         reflection_losses: spec.reflection_losses.unwrap_or(false),
         stray_light: spec.stray_light.as_ref().map(|stray| StrayLight {
             age_years: number(stray.age_years, 30.0),
@@ -96,6 +102,7 @@ fn prescription(preset: &str, spec: &v1::Eye) -> Result<Option<Box<Prescription>
         pupil_decentre_mm: None,
         macular_peak_density: None,
         lens_density_scale: None,
+        cornea_density_scale: None,
         stiles_crawford: None,
         pupil_formula: None,
         pupil_shift_mm_per_mm: None,
@@ -228,14 +235,20 @@ fn check_pupil(data: &Prescription, pupil_mm: f64) -> Result<(), FieldError> {
     Err(FieldError::new("eye.pupil_mm", message))
 }
 
-/// Coefficient for base 10, and the pointing error.
-fn stiles_crawford(spec: Option<&v1::StilesCrawford>) -> Result<(f64, f64), FieldError> {
-    use v1::stiles_crawford::Base as B;
+/// Coefficient for base 10, the pointing error, and whose law it is.
+fn stiles_crawford(spec: Option<&v1::StilesCrawford>) -> Result<(f64, f64, PointingLaw), FieldError> {
+    use v1::stiles_crawford::{Base as B, Pointing as P};
     let spec = spec.copied().unwrap_or_default();
-    let rho = in_range("eye.stiles_crawford.rho_per_mm2", number(spec.rho_per_mm2, 0.05), 0.0, 0.2)?;
-    let rho10 = match choice("eye.stiles_crawford.base", spec.base, B::Ten, B::as_str_name)? {
-        B::Ten => rho,
-        B::E => rho * std::f64::consts::LOG10_E,
+    let base = choice("eye.stiles_crawford.base", spec.base, B::Ten, B::as_str_name)?;
+    let (usual, to_ten) = match base {
+        B::Ten => (DEFAULT_RHO10_PER_MM2, 1.0),
+        B::E => (PAPER_RHO_PER_MM2, std::f64::consts::LOG10_E),
     };
-    Ok((rho10, number(spec.perturbation_deg, 1.0)))
+    let rho = in_range("eye.stiles_crawford.rho_per_mm2", number(spec.rho_per_mm2, usual), 0.0, 0.2)?;
+    let pointing = choice("eye.stiles_crawford.pointing", spec.pointing, P::Population, P::as_str_name)?;
+    let law = match pointing {
+        P::Population => PointingLaw::Population,
+        P::Paper => PointingLaw::Paper,
+    };
+    Ok((rho * to_ten, number(spec.perturbation_deg, 1.0), law))
 }

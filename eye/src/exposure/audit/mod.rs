@@ -130,7 +130,8 @@ impl Audited<'_> {
 
     fn absorbers(&self) -> Result<Absorbers, String> {
         let eye = &self.experiment.eye;
-        let mut media = Media::new(eye.lens_density_scale, eye.macular_peak_density)?;
+        let mut media = Media::new(eye.lens_density_scale, eye.macular_peak_density)?
+            .with_cornea_scale(eye.cornea_density_scale);
         if eye.reflection_losses {
             media = media.with_reflections(|nm| self.projection.eye().indices(nm));
         }

@@ -11,7 +11,7 @@
 //! The printed SCE-I factor depends on the cone's own pointing only; the part common to all cones, which other engines have as
 //! an apodization, is its mean here, so that engines can be compared.
 
-mod spread;
+pub(crate) mod spread;
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -65,7 +65,8 @@ pub struct Paper {
     seed: u64,
     /// `[type][channel]`, peak 1.
     absorbance: [Vec<f64>; 3],
-    paths: Paths,
+    /// `[channel]`.
+    paths: Vec<Paths>,
     scene: Scene,
     index: ConeIndex,
     cones: Vec<Catch>,
@@ -128,7 +129,7 @@ impl Paper {
             settings: experiment.counts.paper,
             seed: experiment.counts.seed,
             absorbance,
-            paths: kernels.paths(),
+            paths: (0..CHANNELS).map(|c| kernels.paths_at(MIN_NM + CHANNEL_NM * c as f64)).collect(),
             scene: scene.clone(),
             index: ConeIndex::new(retina),
             cones,
@@ -170,8 +171,8 @@ impl Paper {
             landing_um: projection.retina_um(tangent, nm).map_err(|e| e.to_string())?,
             passed: [
                 1.0 - media.reflected(nm),
-                media.cornea(nm, self.paths.cornea) / (1.0 - media.reflected(nm)),
-                media.lens(nm, self.paths.lens),
+                media.cornea(nm, self.paths[channel].cornea) / (1.0 - media.reflected(nm)),
+                media.lens(nm, self.paths[channel].lens),
                 media.macula(nm, tangent.length().atan().to_degrees()),
             ],
         })
@@ -313,7 +314,9 @@ impl Paper {
             tally.budget.stiles_crawford += 1.0;
             return;
         }
-        let absorptance = -(-cone.density * self.absorbance[cone.cone_type as usize][channel]).exp_m1();
+        // A cone of a population may accept more than the law's peak (`cone::directional`): the excess goes into what it absorbs.
+        let absorptance = -(-cone.density * self.absorbance[cone.cone_type as usize][channel]).exp_m1()
+            * cone.guided.max(1.0);
         if stream.uniform() >= absorptance {
             tally.budget.not_absorbed += 1.0;
         } else if stream.uniform() >= ISOMERIZATION {
@@ -323,6 +326,11 @@ impl Paper {
             tally.budget.isomerized[cone.cone_type as usize] += 1.0;
         }
     }
+}
+
+/// The wavelength (nm) that a photon is given.
+pub(crate) fn snapped_nm(nm: f64) -> f64 {
+    MIN_NM + CHANNEL_NM * channel(nm) as f64
 }
 
 fn channel(nm: f64) -> usize {

@@ -6,6 +6,7 @@ use rustfft::num_complex::Complex64;
 
 use crate::experiment::PaperSettings;
 use crate::optics::{Object, Projection, PupilBundle};
+use crate::psf::{PsfGrid, Wavefront, WavefrontOptions, psf};
 use crate::rng::Stream;
 
 /// One point spread.
@@ -36,9 +37,9 @@ impl Spread {
         let bundle = random_bundle(projection, object, nm, settings.rays, stream)?;
         let half_width_um = 0.5 * settings.window_um.max(spread_width_um(projection, &bundle));
         let eye = projection.eye();
-        let entrance_mm = eye.entrance_radius_mm();
-        let apodized = |stop: DVec2| 10_f64.powf(-0.5 * rho * (stop * entrance_mm).length_squared());
-        let amplitudes: Vec<f64> = bundle.rays.iter().map(|r| apodized(r.stop)).collect();
+        let entrance_mm = eye.entrance_radius_mm().map_err(|e| e.to_string())?;
+        let apodized = |at: DVec2| 10_f64.powf(-0.5 * rho * (at * entrance_mm).length_squared());
+        let amplitudes: Vec<f64> = bundle.rays.iter().map(|r| apodized(bundle.entrance(r))).collect();
         let cumulative = cumulative(&bundle, &amplitudes, samples, half_width_um);
         let row_ends = cumulative.chunks_exact(samples).map(|row| row[row.len() - 1]).collect();
         Ok(Self { cumulative, row_ends, half_width_um, samples })
@@ -55,6 +56,26 @@ impl Spread {
         let offset = |i: usize| (i as f64 + 0.5) * pitch - self.half_width_um;
         DVec2::new(offset(row), offset(column))
     }
+}
+
+/// Part of a spread's light beyond the square window of a width (µm), which the engine puts back into it: 1 less the sum over the traced
+/// wavefront's spread.
+///
+/// # Errors
+/// When the pupil cannot be traced.
+pub(crate) fn beyond_window(
+    projection: &Projection,
+    object: Object,
+    nm: f64,
+    width_um: f64,
+    options: &WavefrontOptions,
+) -> Result<f64, String> {
+    let wave = Wavefront::new(projection.eye(), object, nm, options).map_err(|e| e.to_string())?;
+    // Four samples a micrometre: the spread has none finer than 1 µm.
+    let grid = PsfGrid::new((4.0 * width_um).ceil().clamp(16.0, 512.0) as usize, 0.5 * width_um);
+    let inside: f64 =
+        psf(&wave, &grid).iter().sum::<f64>() * wave.density_per_um2() * grid.pitch_um().powi(2);
+    Ok((1.0 - inside / wave.throughput()).clamp(0.0, 1.0))
 }
 
 /// Randomly perturbed rays through the stop: one in each cell of a square lattice of k x k <= `rays` cells, which is wrapped onto

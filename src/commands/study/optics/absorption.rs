@@ -32,10 +32,11 @@ pub fn study(page: &mut Page) -> Result<(), Failure> {
     );
     for pupil in [3.0, 6.0] {
         let eye = eye(pupil)?;
+        let entrance_mm = eye.entrance_radius_mm().map_err(failed)?;
         for nm in [420.0, 450.0, 500.0, 550.0, 600.0] {
             let density = media.lens_density(nm);
             let rho = -density * bending
-                / (p.lens_front.thickness_mm * (eye.entrance_radius_mm() / eye.stop_radius_mm()).powi(2));
+                / (p.lens_front.thickness_mm * (entrance_mm / eye.stop_radius_mm()).powi(2));
             let object = Object::field(FOVEA_DEG, 0.0).map_err(failed)?;
             let spread = |rho: f64| {
                 let stiles_crawford = Some(StilesCrawfordApodization { rho_base10_per_mm2: rho });

@@ -86,7 +86,11 @@ fn right() -> Vec<(&'static str, Vec<(&'static str, Value)>)> {
         ("pixels of 600 arcmin", vec![("display.pixel_pitch_cm", json!(140))]),
         (
             "no drop of pigment",
-            vec![("eye.macular_peak_density", json!(0)), ("eye.lens_density_scale", json!(0))],
+            vec![
+                ("eye.macular_peak_density", json!(0)),
+                ("eye.lens_density_scale", json!(0)),
+                ("eye.cornea_density_scale", json!(0)),
+            ],
         ),
     ]
 }
