@@ -1,4 +1,5 @@
-//! Options of the cones and of the ledger: isomerizations without light, bleaching, apertures, reflections as a line of their own; in every engine.
+//! Options of the cones and of the ledger: isomerizations without light, bleaching, apertures, reflections as
+//! a line of their own; in every engine.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "tests fail by panicking")]
 
@@ -65,8 +66,8 @@ fn cones_isomerize_without_light() {
     assert!((a.budget.fates() - b.budget.fates()).abs() < 1e-9 * a.budget.fates());
 }
 
-/// Cones as wide as inner segments count less, in every engine as the plan foretells: 25 % less at the centre, in the whole patch no more than the bound;
-/// the plan says which apertures are used, both ways.
+/// Cones as wide as inner segments count less, in every engine as the plan foretells: 25 % less at the
+/// centre, in the whole patch no more than the bound; the plan says which apertures are used, both ways.
 #[test]
 fn inner_segments_catch_less_than_cells() {
     let cell = small(WHITE);

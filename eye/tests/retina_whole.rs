@@ -90,8 +90,8 @@ fn the_whole_retina_meets_its_targets() {
             assert!((sector.cones as f64 / sector.target_cones - 1.0).abs() < 0.02, "{b:?}");
         }
     }
-    // Cells tile the retina: a point lies in one of them. More than 99.9 % of them (measured: all of 44351).
-    assert!(thrown > 40_000 && ((thrown - once) as f64) < 1e-3 * thrown as f64, "{once} of {thrown}");
+    // Cells tile the retina: a point lies in one of them. More than 99.9 % of them (measured: all of 36263).
+    assert!(thrown > 32_000 && ((thrown - once) as f64) < 1e-3 * thrown as f64, "{once} of {thrown}");
     let cones = s.all.cones as f64;
     assert_eq!((s.counts.coincident, s.counts.close_pairs), (0, 0));
     assert!(

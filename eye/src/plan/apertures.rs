@@ -1,7 +1,7 @@
 //! What the apertures that were not chosen would change, over a patch of retina.
 //!
-//! A cone counts in proportion to its aperture. At a place where the chosen law fills the fraction c of a cell and the other one the
-//! fraction o, counts would change by o/c - 1. No unit.
+//! A cone counts in proportion to its aperture. At a place where the chosen law fills the fraction c of a
+//! cell and the other one the fraction o, counts would change by o/c - 1. No unit.
 
 use glam::DVec2;
 

@@ -267,7 +267,8 @@ fn bleaching(look: &Look) -> Option<Omission> {
     experiment.retina.bleaching_td.is_none().then(|| omission("bleaching", &why, bound))
 }
 
-/// Information: which apertures are used, and what the other ones would change. The bound is the largest change in the patch.
+/// Information: which apertures are used, and what the other ones would change. The bound is the largest
+/// change in the patch.
 fn aperture(look: &Look) -> Option<Omission> {
     let retina = &look.setup.retina;
     let change = apertures::change(retina, &look.setup.region);

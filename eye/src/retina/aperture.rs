@@ -1,16 +1,19 @@
 //! How much of its cell a cone's light-collecting aperture fills (§13, §15).
 //!
-//! `Cell`: the paper's. Apertures fill the cells where there are no rods, and the fraction of Curcio's photomicrographs beyond, π/4·d²·(cones
-//! counted in the same frame) (table below), monotone cubic in eccentricity. Cells of the mosaic are not those of the frames, which
-//! lie in the horizontal streak: beyond the fovea these apertures are larger than inner segments by up to a half.
+//! `Cell`: the paper's. Apertures fill the cells where there are no rods, and the fraction of Curcio's
+//! photomicrographs beyond, π/4·d²·(cones counted in the same frame) (table below), monotone cubic in
+//! eccentricity. Cells of the mosaic are not those of the frames, which lie in the horizontal streak: beyond
+//! the fovea these apertures are 6 to 39 % larger than inner segments.
 //!
-//! `InnerSegment`: π/4·d², d the diameter of inner segments by `data/spectra/cone-inner-segment.csv` (Rodieck 1998 at the centre, Curcio et al.
-//! 1990 beyond), monotone cubic in retinal degrees, constant past the data; the fraction of the cell is
+//! `InnerSegment`: π/4·d², d the diameter of inner segments by `data/spectra/cone-inner-segment.csv` (Rodieck
+//! 1998 at the centre, Curcio et al. 1990 beyond), monotone cubic in retinal degrees, constant past the data;
+//! the fraction of the cell is
 //!
 //! min(1, π/4·d²·ρ), ρ cones per µm² of retina.     (1)
 //!
-//! d is measured in the plane of the retina, and ρ counts there: a cone's tilt shrinks cell and aperture alike. Diameters are µm on a sphere of 12 mm,
-//! scaled to another radius with it, as the density is. The mean aperture is π/4·d²; each cone's is its own cell shrunk about the cone.
+//! d is measured in the plane of the retina, and ρ counts there: a cone's tilt shrinks cell and aperture
+//! alike. Diameters are µm on a sphere of 12 mm, scaled to another radius with it, as the density is. The
+//! mean aperture is π/4·d²; each cone's is its own cell shrunk about the cone.
 
 use std::f64::consts::FRAC_PI_4;
 
@@ -53,8 +56,8 @@ impl ApertureLaw {
         }
     }
 
-    /// Fraction of a cell that collects light, 0 to 1, at an eccentricity in µm on Curcio's sphere where there are `per_um2` cones on 1 µm² of
-    /// retina (asked only where it matters).
+    /// Fraction of a cell that collects light, 0 to 1, at an eccentricity in µm on Curcio's sphere where
+    /// there are `per_um2` cones on 1 µm² of retina (asked only where it matters).
     pub(super) fn fraction(&self, on_source_um: f64, per_um2: impl FnOnce() -> f64) -> f64 {
         match self {
             Self::Cell(of_cell) => of_cell.at(on_source_um).min(1.0),
@@ -129,8 +132,8 @@ mod tests {
         }
     }
 
-    /// Measured cones four times as far apart as the law has them: each has the inner segment of its place, not a part of its large cell. Where
-    /// they are closer than an inner segment is wide, it fills the cell.
+    /// Measured cones four times as far apart as the law has them: each has the inner segment of its place,
+    /// not a part of its large cell. Where they are closer than an inner segment is wide, it fills the cell.
     #[test]
     fn measured_cones_have_inner_segments_too() {
         for (spacing, full) in [(10.0, false), (2.0, true)] {

@@ -15,8 +15,9 @@
 //!
 //! A wished total of cones scales the density by 1 + (k - 1)·(1 - exp(-(θ/3°)²)): the fovea stays, k follows from the integral.
 //!
-//! The ora lies at `ora_retinal_deg`·(1 - `ora_dip`·cos φ), φ = 0 nasal. By default it is 102° and -0.09: where Curcio's counts end (111°
-//! nasal, 93° temporal). The law then integrates to 4.61 million cones; her eyes hold 4.6 (4.08 to 5.29) million.
+//! The ora lies at `ora_retinal_deg`·(1 - `ora_dip`·cos φ), φ = 0 nasal. By default it is 102° and -0.09:
+//! where Curcio's counts end (111° nasal, 93° temporal). The law then integrates to 4.59 million cones; her
+//! eyes hold 4.6 (4.08 to 5.29) million.
 //!
 //! # As printed
 //! Equation (1) gives 2.24e6 cones/mm² at 1°: θ there is in µm at 300 µm per degree; with θ in degrees and no 300 it gives 50,000, which
@@ -245,7 +246,8 @@ impl Density {
         }
     }
 
-    /// Fraction of its cell that a cone's light-collecting aperture fills, 0 to 1, where cells are those of the target density.
+    /// Fraction of its cell that a cone's light-collecting aperture fills, 0 to 1, where cells are those of
+    /// the target density.
     pub fn coverage(&self, at_um: DVec2) -> f64 {
         self.coverage_of(at_um, || 1e-6 * self.per_mm2(at_um))
     }

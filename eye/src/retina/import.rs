@@ -2,11 +2,12 @@
 //!
 //! `table` reads the text. Row numbers (from 0) are the cones' ids.
 //!
-//! Spacing of a cone: mean distance across the cone to its six nearest, then the median of that over the cone and those six, so that
-//! cones at the rim get the spacing of their inner neighbours. Cells are plain Voronoi cells (equal weights) limited at 1.25
-//! spacings, by the builder of `cells`. Apertures (`aperture`): with `CELL` the table's fraction of the cell; with `INNER_SEGMENT` each cell
-//! is shrunk to π/4·d²·cos(tilt) across the cone's direction, whatever its size, but never beyond itself: every cone at an
-//! eccentricity has the same inner segment. Pointing errors are drawn from the seed by cone.
+//! Spacing of a cone: mean distance across the cone to its six nearest, then the median of that over the cone
+//! and those six, so that cones at the rim get the spacing of their inner neighbours. Cells are plain Voronoi
+//! cells (equal weights) limited at 1.25 spacings, by the builder of `cells`. Apertures (`aperture`): with
+//! `CELL` the table's fraction of the cell; with `INNER_SEGMENT` each cell is shrunk to π/4·d²·cos(tilt)
+//! across the cone's direction, whatever its size, but never beyond itself: every cone at an eccentricity has
+//! the same inner segment. Pointing errors are drawn from the seed by cone.
 //!
 //! # Cost
 //! Measured: 4 µs a cone, one thread; 16 µs for a strip from the fovea to 45°, over which the density falls fifty times.

@@ -43,7 +43,8 @@ pub enum Aperture {
     /// The whole cell where there are no rods, and less of it beyond, as in the paper.
     #[default]
     Cell,
-    /// As much as measured inner segments are wide: 2.3 µm at the centre (Rodieck 1998), 6.2 to 8.4 µm beyond (Curcio et al. 1990).
+    /// As much as measured inner segments are wide: 2.3 µm at the centre (Rodieck 1998), 6.2 to 8.4 µm beyond
+    /// (Curcio et al. 1990).
     InnerSegment,
 }
 
@@ -94,12 +95,14 @@ pub struct RetinaGeometry {
     pub exit_pupil: ExitPupil,
     /// Visual angles of places on the retina.
     pub visual: VisualMap,
-    /// Eccentricity of the ora serrata, retinal degrees, mean over the meridians (60 to 120). No cone lies beyond it.
+    /// Eccentricity of the ora serrata, retinal degrees, mean over the meridians (60 to 120). No cone lies
+    /// beyond it.
     pub ora_retinal_deg: f64,
-    /// How much nearer the ora is on the nasal side, and farther on the temporal one, as a fraction of its eccentricity (-0.1 to 0.1);
-    /// negative: farther on the nasal side.
+    /// How much nearer the ora is on the nasal side, and farther on the temporal one, as a fraction of its
+    /// eccentricity (-0.1 to 0.1); negative: farther on the nasal side.
     pub ora_dip: f64,
-    /// Cone density at the ora on Curcio's scale, cones/mm² (1000 to 10,000); past the data the density runs linearly to it.
+    /// Cone density at the ora on Curcio's scale, cones/mm² (1000 to 10,000); past the data the density runs
+    /// linearly to it.
     pub ora_density_per_mm2: f64,
 }
 
@@ -108,8 +111,9 @@ impl Default for RetinaGeometry {
     /// foveal centre (0, 1.43280, 23.83445) mm, exit pupil (0, -0.415, 3.6825) mm from everywhere, +y temporal on the retina; one visual
     /// degree is 287 µm everywhere. A traced eye gives better (`plan::setup::retina_geometry`).
     ///
-    /// The ora: 111° nasal, 102° above and below, 93° temporal, where the counts of Curcio et al. 1990 end (112.5°, 102.5° and 97.5°, 92.5°).
-    /// Her table then integrates to 4.61 million cones where she gives 4.6 (4.08 to 5.29), on 1092 mm² of the 12 mm sphere (ADR 18).
+    /// The ora: 111° nasal, 102° above and below, 93° temporal, where the counts of Curcio et al. 1990 end
+    /// (112.5°, 102.5° and 97.5°, 92.5°). Her table then integrates to 4.59 million cones where she gives 4.6
+    /// (4.08 to 5.29), on 1092 mm² of the 12 mm sphere (ADR 18).
     fn default() -> Self {
         Self {
             radius_um: 12_000.0,

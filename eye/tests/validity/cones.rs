@@ -1,12 +1,14 @@
 //! The number of cones and the size of their apertures against what was measured.
 //!
-//! Curcio, Sloan, Kalina & Hendrickson 1990 (J Comp Neurol 292:497): 4.6 million cones in the mean eye, 4.08 to 5.29 million in single eyes; densities
-//! (1/mm²) along four meridians on a sphere of 11.402 mm, here integrated over rings of retinal degrees:
+//! Curcio, Sloan, Kalina & Hendrickson 1990 (J Comp Neurol 292:497): 4.6 million cones in the mean eye, 4.08
+//! to 5.29 million in single eyes; densities (1/mm²) along four meridians on a sphere of 11.402 mm, here
+//! integrated over rings of retinal degrees:
 //!
 //! N = R²·Σ 2π sin θ·mean over meridians of ρ(θ)·dθ.     (1)
 //!
-//! Inner segments: 2.3 µm across at the centre (Rodieck 1998), then 5.9 to 8.0 µm in Curcio's photomicrographs (11.402 mm sphere);
-//! Banks, Sekuler & Anderson 1991 (JOSA A 8:1775), in arcmin, for comparison.
+//! Inner segments: 2.3 µm across at the centre (Rodieck 1998), then 5.9 to 8.0 µm in Curcio's
+//! photomicrographs (11.402 mm sphere); Banks, Sekuler & Anderson 1991 (JOSA A 8:1775), in arcmin, for
+//! comparison.
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
@@ -23,7 +25,8 @@ const ROW_DEG: f64 = 5.0;
 const MEAN: f64 = 4.6;
 const RANGE: [f64; 2] = [4.08, 5.29];
 
-/// (retinal degrees, cones per mm²) along one meridian of Curcio's table: 1 nasal, 2 superior, 3 temporal, 4 inferior.
+/// (retinal degrees, cones per mm²) along one meridian of Curcio's table: 1 nasal, 2 superior, 3 temporal, 4
+/// inferior.
 fn meridian(column: usize) -> Vec<(f64, f64)> {
     let text = catalog::text("spectra", "cone-density-curcio").unwrap();
     let rows = text.lines().filter(|line| !line.starts_with('#')).skip(1);
@@ -34,8 +37,8 @@ fn meridian(column: usize) -> Vec<(f64, f64)> {
     rows.filter_map(row).collect()
 }
 
-/// The table at an eccentricity: between rows a power of the eccentricity (from the centre to the first row an exponential); from the last
-/// row a straight line to zero at where the next one would be.
+/// The table at an eccentricity: between rows a power of the eccentricity (from the centre to the first row
+/// an exponential); from the last row a straight line to zero at where the next one would be.
 fn interpolated(table: &[(f64, f64)], deg: f64) -> f64 {
     let above = table.partition_point(|row| row.0 <= deg);
     let (low_deg, low) = table[above - 1];
@@ -101,7 +104,8 @@ fn as_many_cones_as_curcio_counted() {
     assert!((RANGE[0]..RANGE[1]).contains(&mosaic), "{mosaic}");
 }
 
-/// The mean aperture of cones at an eccentricity (retinal degrees), µm² in the plane of the retina, over four directions.
+/// The mean aperture of cones at an eccentricity (retinal degrees), µm² in the plane of the retina, over four
+/// directions.
 fn aperture_um2(aperture: Aperture, deg: f64) -> f64 {
     // At the centre, where 4 µm change the area by 2 %, a few cones of many mosaics.
     let half = if deg > 0.0 { 90.0 } else { 2.0 };
@@ -135,14 +139,15 @@ fn apertures_against_measured_inner_segments() {
         let [cell, inner] = [Aperture::Cell, Aperture::InnerSegment].map(|a| aperture_um2(a, deg) / measured);
         println!("{deg:5.2}: {measured:6.2} {cell:.3} {inner:.3}");
         assert!((inner - 1.0).abs() < 0.03, "{deg}: {inner}");
-        // The paper's apertures: a third larger at the centre, up to a third larger elsewhere, smaller only in the far periphery.
+        // The paper's apertures: a third larger at the centre, 6 to 39 % larger elsewhere.
         assert!(deg > 0.0 || (cell - 1.34).abs() < 0.03, "{cell}");
-        assert!((0.8..1.5).contains(&cell), "{deg}: {cell}");
+        assert!((1.0..1.45).contains(&cell), "{deg}: {cell}");
     }
 }
 
-/// Diameters of other eyes, Banks et al. 1991, from 2 to 20 visual degrees. Curcio's eyes differ in density by 16 % at 2 to 3 retinal degrees and
-/// by 12 % farther out (standard deviation): two of these are 12 to 16 % in diameter.
+/// Diameters of other eyes, Banks et al. 1991, from 2 to 20 visual degrees. Curcio's eyes differ in density
+/// by 16 % at 2 to 3 retinal degrees and by 12 % farther out (standard deviation): two of these are 12 to 16
+/// % in diameter.
 #[test]
 fn inner_segments_as_wide_as_banks_have_them() {
     // (visual degrees, arcmin).

@@ -1,4 +1,5 @@
-//! Independent references: slow and readable, they share no code with what they check beyond the data tables. One file a topic.
+//! Independent references: slow and readable, they share no code with what they check beyond the data tables.
+//! One file a topic.
 
 #![allow(
     clippy::unwrap_used,
