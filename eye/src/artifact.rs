@@ -91,8 +91,10 @@ impl ArtifactSpec {
     /// Rises whenever the same inputs give other bytes.
     fn version(&self) -> u32 {
         match self {
-            Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 3,
-            Self::Wavefronts(_) => 3,
+            Self::RetinaTile { .. }
+            | Self::Cones { .. }
+            | Self::MeasuredCones { .. }
+            | Self::Wavefronts(_) => 3,
             Self::Kernels(_) => 11,
         }
     }
