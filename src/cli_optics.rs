@@ -20,7 +20,7 @@ pub struct RetinaArgs {
     /// How the mosaic grows
     #[arg(long, value_enum, default_value_t = GeneratorName::Domain)]
     pub generator: GeneratorName,
-    /// Change a field: retina.peak_density_per_mm2=150000, eye.side=LEFT
+    /// Change a field: retina.aperture=INNER_SEGMENT, retina.peak_density_per_mm2=150000, eye.side=LEFT
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub set: Vec<String>,
     /// Threads [default: as many as there are cores]

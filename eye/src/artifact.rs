@@ -33,7 +33,7 @@ pub enum ArtifactSpec {
     MeasuredCones {
         /// Digest of the table's text, `b3:<64 hex digits>/<size>`.
         table: String,
-        /// Seed, geometry, coverage and pointing.
+        /// Seed, geometry, aperture and pointing.
         params: Box<RetinaParams>,
         /// The region.
         region: RegionUm,
@@ -91,7 +91,7 @@ impl ArtifactSpec {
     /// Rises whenever the same inputs give other bytes.
     fn version(&self) -> u32 {
         match self {
-            Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 2,
+            Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 3,
             Self::Wavefronts(_) => 4,
             Self::Kernels(_) => 12,
         }

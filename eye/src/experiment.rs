@@ -11,7 +11,7 @@ use crate::display::Display;
 use crate::optics::{Dispersion, OpticsError, Prescription, Side};
 use crate::plan::{Knobs, Rule};
 use crate::retina::{
-    CellWalls, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry, RetinaParams,
+    Aperture, CellWalls, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry, RetinaParams,
 };
 use crate::video::ClipFormat;
 
@@ -110,6 +110,8 @@ pub struct Retina {
     pub cycles: Option<u32>,
     /// How cells are formed.
     pub cell_walls: CellWalls,
+    /// Which part of a cell collects light.
+    pub aperture: Aperture,
     /// Shares of L, M, S outside the S-free centre; they sum to 1.
     pub cone_ratio: [f64; 3],
     /// Hard core of S cones in their mean spacings.
@@ -462,6 +464,7 @@ impl Default for Retina {
             total_cones: p.total_cones,
             cycles: p.cycles,
             cell_walls: p.cell_walls,
+            aperture: p.aperture,
             cone_ratio: p.cone_ratio,
             s_repulsion: p.s_repulsion,
             s_ramp_deg: p.s_ramp_deg,
@@ -486,6 +489,7 @@ impl Retina {
             total_cones: self.total_cones,
             cycles: self.cycles,
             cell_walls: self.cell_walls,
+            aperture: self.aperture,
             cone_ratio: self.cone_ratio,
             s_ramp_deg: self.s_ramp_deg,
             s_repulsion: self.s_repulsion,

@@ -1,4 +1,5 @@
-//! Options of the cones and of the ledger: isomerizations without light, bleaching, reflections as a line of their own; in every engine.
+//! Options of the cones and of the ledger: isomerizations without light, bleaching, apertures, reflections as
+//! a line of their own; in every engine.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "tests fail by panicking")]
 
@@ -9,7 +10,7 @@ use photoneye_eye::display::Channel;
 use photoneye_eye::experiment::{Engine, Experiment, Gaze, Pattern};
 use photoneye_eye::exposure::{Frame, FrameCounts};
 use photoneye_eye::plan::plan;
-use photoneye_eye::retina::ConeType;
+use photoneye_eye::retina::{Aperture, ConeType};
 use photoneye_eye::spectrum::Spectrum;
 use support::{WHITE, cached_exposure as exposure, figure_12, primary};
 
@@ -63,6 +64,36 @@ fn cones_isomerize_without_light() {
     let (a, b) = (exposure(&lit).frame(0, None).unwrap(), exposure(&both).frame(0, None).unwrap());
     assert!(values(&a).iter().zip(values(&b)).all(|(x, y)| (y - x - 10.0).abs() < 1e-4 * (1.0 + x)));
     assert!((a.budget.fates() - b.budget.fates()).abs() < 1e-9 * a.budget.fates());
+}
+
+/// Cones as wide as inner segments count less, in every engine as the plan foretells: 25 % less at the
+/// centre, in the whole patch no more than the bound; the plan says which apertures are used, both ways.
+#[test]
+fn inner_segments_catch_less_than_cells() {
+    let cell = small(WHITE);
+    let mut inner = cell.clone();
+    inner.retina.aperture = Aperture::InnerSegment;
+    let listed = |experiment: &Experiment, what: &str| {
+        let omissions = plan(experiment).unwrap().omissions;
+        omissions.into_iter().find(|omission| omission.what == what)
+    };
+    let (less, more) = ("the measured size of inner segments", "apertures that fill their cells");
+    assert!(listed(&cell, more).is_none() && listed(&inner, less).is_none());
+    let (less, more) = (listed(&cell, less).unwrap(), listed(&inner, more).unwrap());
+    println!("{}\n{}", less.why, more.why);
+    assert!(less.why.contains("lower counts by 25.") && less.why.contains("at 0.0°"), "{}", less.why);
+    assert!(more.why.contains("raise counts by 34.") && more.why.contains("CELL"), "{}", more.why);
+    for engine in ENGINES {
+        let [before, after] =
+            [&cell, &inner].map(|e| exposure(&with_engine(e, engine)).frame(0, None).unwrap());
+        let (before, after) = (values(&before).iter().sum::<f64>(), values(&after).iter().sum::<f64>());
+        let change = after / before - 1.0;
+        println!("{engine:?}: {change:.4}, bound {:.4}, back {:.4}", less.bound, more.bound);
+        let noise = 5.0 * (1.0 / after + 1.0 / before).sqrt();
+        // The patch: 25 % at the centre, more round it.
+        assert!(change < -0.25 + noise && -change < less.bound + noise, "{engine:?}: {change}");
+        assert!(before / after - 1.0 < more.bound + noise, "{engine:?}");
+    }
 }
 
 /// At 10^4.3 td half the pigment is bleached: L cones of the fovea count (1 - 10^(-D A/2)) / (1 - 10^(-D A)) of what they did, in every engine;

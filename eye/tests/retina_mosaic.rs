@@ -254,12 +254,12 @@ fn extremes_hold() {
     let nonsense = RetinaParams { peak_density_per_mm2: 1e9, ..RetinaParams::default() };
     assert!(matches!(build_region(&nonsense, &square(0.0, 0.0, 5.0)), Err(RetinaError::Parameter { .. })));
     // Near the ora, beyond it, and where no tile starts.
-    let ora = 119.0_f64.to_radians() * 12_000.0;
+    let ora = (102.0_f64 * 0.91).to_radians() * 12_000.0;
     let edge = build_region(&p, &square(-ora, 0.0, 400.0)).unwrap();
     assert!(!edge.is_empty() && edge.cell_area_um2.iter().all(|a| a.is_finite() && *a > 0.0));
-    let temporal_ora = (120.0_f64 * 1.06).to_radians() * 12_000.0;
-    assert!(edge.x_um.iter().zip(&edge.y_um).all(|(x, y)| x.hypot(*y) <= temporal_ora));
-    let beyond = build_region(&p, &square(-temporal_ora - 300.0, 0.0, 290.0)).unwrap();
+    let farthest = 102.0_f64.to_radians() * 12_000.0;
+    assert!(edge.x_um.iter().zip(&edge.y_um).all(|(x, y)| x.hypot(*y) <= farthest));
+    let beyond = build_region(&p, &square(-ora - 300.0, 0.0, 290.0)).unwrap();
     assert!(beyond.is_empty());
     assert!(build_tile(&p, TileId { i: 64, j: 0 }).unwrap().is_empty());
     assert!(matches!(build_tile(&p, TileId { i: 65, j: 0 }), Err(RetinaError::NotATile { .. })));

@@ -78,7 +78,9 @@ fn the_whole_retina_meets_its_targets() {
     let geometry = retina_geometry(&prescription, &state).unwrap();
     let (s, (once, thrown)) = counted(&RetinaParams { geometry, ..RetinaParams::default() }, 30_000.0);
     assert!((s.all.density_ratio() - 1.0).abs() < 0.01, "{:?}", s.all);
-    assert!((4_600_000..5_700_000).contains(&s.all.cones), "{}", s.all.cones);
+    // Curcio et al. 1990: 4.6 million on average, 4.08 to 5.29 in single eyes.
+    println!("{} cones", s.all.cones);
+    assert!((4_080_000..5_290_000).contains(&s.all.cones), "{}", s.all.cones);
     for b in s.bands.iter().filter(|b| b.from_deg >= 0.1 && b.to_deg <= 90.0) {
         assert!((b.density_ratio() - 1.0).abs() < 0.02, "{b:?}");
         // 5 %, or four standard deviations of a binomial where S cones are few: a chance of 1e-3 that one of a dozen bands is out.
@@ -88,8 +90,8 @@ fn the_whole_retina_meets_its_targets() {
             assert!((sector.cones as f64 / sector.target_cones - 1.0).abs() < 0.02, "{b:?}");
         }
     }
-    // Cells tile the retina: a point lies in one of them. More than 99.9 % of them (measured: all of 44351).
-    assert!(thrown > 40_000 && ((thrown - once) as f64) < 1e-3 * thrown as f64, "{once} of {thrown}");
+    // Cells tile the retina: a point lies in one of them. More than 99.9 % of them (measured: all of 36263).
+    assert!(thrown > 32_000 && ((thrown - once) as f64) < 1e-3 * thrown as f64, "{once} of {thrown}");
     let cones = s.all.cones as f64;
     assert_eq!((s.counts.coincident, s.counts.close_pairs), (0, 0));
     assert!(

@@ -1,5 +1,6 @@
 //! The plan: what a scene needs, what is left out and why, and what it costs, before anything is computed.
 
+mod apertures;
 mod band;
 mod cost;
 pub mod engine;

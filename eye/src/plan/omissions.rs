@@ -5,6 +5,7 @@
     reason = "all rules have one form, also those that always leave something out"
 )]
 
+use super::apertures;
 use super::rules::Rule;
 use super::setup::{MARGIN_UM, Setup, UM_PER_TANGENT, cutoff};
 use super::wavelengths::Wavelengths;
@@ -18,6 +19,7 @@ use crate::exposure::primaries;
 use crate::exposure::stray::scattered_share;
 use crate::media::MACULA_EDGE_DEG;
 use crate::psf::{Wavefront, WavefrontOptions};
+use crate::retina::Aperture;
 
 /// Visual eccentricity beyond which neither macula nor pigments change, degrees.
 const GRADIENTS_END_DEG: f64 = 13.0;
@@ -41,7 +43,7 @@ pub fn list(
     wavelengths: &Wavelengths,
 ) -> Vec<Omission> {
     let look = Look { experiment, setup, tiles, wavelengths };
-    let rules: [(Option<Rule>, Tell); 20] = [
+    let rules: [(Option<Rule>, Tell); 21] = [
         (Some(Rule::ConesOutside), cones_outside),
         (Some(Rule::Wavelengths), dark_wavelengths),
         (Some(Rule::FieldNodes), field_nodes),
@@ -62,6 +64,7 @@ pub fn list(
         (None, directional),
         (None, absorption),
         (None, bleaching),
+        (None, aperture),
     ];
     let made = |(rule, of): &(Option<Rule>, Tell)| {
         if rule.is_none_or(|rule| rule.applies(experiment)) { of(&look) } else { None }
@@ -263,6 +266,30 @@ fn bleaching(look: &Look) -> Option<Omission> {
         why += ": it matters here, see retina.bleaching";
     }
     experiment.retina.bleaching_td.is_none().then(|| omission("bleaching", &why, bound))
+}
+
+/// Information: which apertures are used, and what the other ones would change. The bound is the largest
+/// change in the patch.
+fn aperture(look: &Look) -> Option<Omission> {
+    let retina = &look.setup.retina;
+    let change = apertures::change(retina, &look.setup.region);
+    let told = |(deg, change): (f64, f64)| {
+        let verb = if change < 0.0 { "lower" } else { "raise" };
+        format!("{verb} counts by {:.1} % at {deg:.1}°", 100.0 * change.abs())
+    };
+    let (what, why) = match retina.aperture {
+        Aperture::Cell => (
+            "the measured size of inner segments",
+            "apertures fill the cells where there are no rods, as in the paper (CELL); retina.aperture INNER_SEGMENT would",
+        ),
+        Aperture::InnerSegment => (
+            "apertures that fill their cells",
+            "apertures are as wide as measured inner segments (INNER_SEGMENT); the paper's, retina.aperture CELL, would",
+        ),
+    };
+    let of = if look.setup.mosaic.is_some() { ", in cells of the density law" } else { "" };
+    let why = format!("{why} {} and {}{of}", told(change.nearest), told(change.farthest));
+    Some(omission(what, &why, change.largest))
 }
 
 fn stray_light(look: &Look) -> Option<Omission> {

@@ -4,11 +4,15 @@
 //! x = ecc·cos(meridian), y = ecc·sin(meridian); meridian 0 is nasal retina (the optic disc), 90° superior. Places are stored in this chart;
 //! distances between cones are measured across their direction to the exit pupil (`local`).
 //!
-//! From parameters to cones, file by file: `density` says how many; `lattice` lays patches of hexagonal lattice at that density; `relax` moves the
-//! cones by the force of `force`; `cells` draws their walls; `types` makes them L, M or S; `tile` does all that for one square of
-//! the chart as a pure function; `mosaic` holds the result; `index` finds the cone at a point; `census` and `statistics` compare with the
-//! targets; `graph` says which cones are neighbours, `receptive_field` makes centres and surrounds of them; `import` makes a retina of a measured mosaic (`table`).
+//! From parameters to cones, file by file: `density` says how many; `lattice` lays patches of hexagonal
+//! lattice at that density; `relax` moves the cones by the force of `force`; `cells` draws their walls,
+//! `aperture` says how much of them collects light; `types` makes them L, M or S; `tile` does all that for
+//! one square of the chart as a pure function; `mosaic` holds the result; `index` finds the cone at a point;
+//! `census` and `statistics` compare with the targets; `graph` says which cones are neighbours,
+//! `receptive_field` makes centres and surrounds of them; `import` makes a retina of a measured mosaic
+//! (`table`).
 
+mod aperture;
 mod cells;
 mod census;
 mod clip;
@@ -45,7 +49,7 @@ pub(crate) use index::{Origin, Place, Raster};
 pub use local::{Frame, Local, Metric, local};
 pub use mosaic::{ConeType, Cones, Counts, Retina, RetinaTile};
 pub use params::{
-    CellWalls, DensityLaw, Dropout, ExitPupil, Generator, OpticDisc, RetinaError, RetinaGeometry,
+    Aperture, CellWalls, DensityLaw, Dropout, ExitPupil, Generator, OpticDisc, RetinaError, RetinaGeometry,
     RetinaParams,
 };
 pub use receptive_field::{FieldRow, ReceptiveField, Role};

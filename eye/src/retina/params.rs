@@ -37,6 +37,17 @@ pub enum CellWalls {
     Averaging,
 }
 
+/// Which part of a cell collects light.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Aperture {
+    /// The whole cell where there are no rods, and less of it beyond, as in the paper.
+    #[default]
+    Cell,
+    /// As much as measured inner segments are wide: 2.3 µm at the centre (Rodieck 1998), 6.2 to 8.4 µm beyond
+    /// (Curcio et al. 1990).
+    InnerSegment,
+}
+
 /// Cones that are lost at random.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Dropout {
@@ -84,11 +95,14 @@ pub struct RetinaGeometry {
     pub exit_pupil: ExitPupil,
     /// Visual angles of places on the retina.
     pub visual: VisualMap,
-    /// Eccentricity of the ora serrata, retinal degrees, mean over the meridians. No cone lies beyond it.
+    /// Eccentricity of the ora serrata, retinal degrees, mean over the meridians (60 to 120). No cone lies
+    /// beyond it.
     pub ora_retinal_deg: f64,
-    /// Dip of the ora on the nasal side, and bulge on the temporal one, as a share of its eccentricity.
+    /// How much nearer the ora is on the nasal side, and farther on the temporal one, as a fraction of its
+    /// eccentricity (-0.1 to 0.1); negative: farther on the nasal side.
     pub ora_dip: f64,
-    /// Cone density at the ora on Curcio's scale, cones/mm²; past the data the density runs linearly to it.
+    /// Cone density at the ora on Curcio's scale, cones/mm² (1000 to 10,000); past the data the density runs
+    /// linearly to it.
     pub ora_density_per_mm2: f64,
 }
 
@@ -96,6 +110,10 @@ impl Default for RetinaGeometry {
     /// The eye of Escudero-Sanz and Navarro 1999 with the stop 0.4 mm off the axis (§8, §12), paraxially: sphere centre (0, 0, 11.9203) mm,
     /// foveal centre (0, 1.43280, 23.83445) mm, exit pupil (0, -0.415, 3.6825) mm from everywhere, +y temporal on the retina; one visual
     /// degree is 287 µm everywhere. A traced eye gives better (`plan::setup::retina_geometry`).
+    ///
+    /// The ora: 111° nasal, 102° above and below, 93° temporal, where the counts of Curcio et al. 1990 end
+    /// (112.5°, 102.5° and 97.5°, 92.5°). Her table then integrates to 4.59 million cones where she gives 4.6
+    /// (4.08 to 5.29), on 1092 mm² of the 12 mm sphere (ADR 18).
     fn default() -> Self {
         Self {
             radius_um: 12_000.0,
@@ -104,8 +122,8 @@ impl Default for RetinaGeometry {
                 at_um: [[-571.56, 0.0, 20_228.54], [0.0; 3], [0.0; 3], [0.0; 3]],
             },
             visual: VisualMap::linear(1.0 / 287.0),
-            ora_retinal_deg: 120.0,
-            ora_dip: 0.06,
+            ora_retinal_deg: 102.0,
+            ora_dip: -0.09,
             ora_density_per_mm2: 4_000.0,
         }
     }
@@ -128,6 +146,8 @@ pub struct RetinaParams {
     pub cycles: Option<u32>,
     /// How cells are formed.
     pub cell_walls: CellWalls,
+    /// Which part of a cell collects light.
+    pub aperture: Aperture,
     /// Shares of L, M and S cones; they sum to 1.
     pub cone_ratio: [f64; 3],
     /// No S cones inside the first eccentricity, and their full share from the second on, visual degrees (§13).
@@ -154,6 +174,7 @@ impl Default for RetinaParams {
             total_cones: None,
             cycles: None,
             cell_walls: CellWalls::Power,
+            aperture: Aperture::Cell,
             s_ramp_deg: [0.175, 1.5],
             cone_ratio: [0.62, 0.30, 0.08],
             s_repulsion: 0.5,
@@ -277,7 +298,7 @@ impl RetinaParams {
             "1/500 to 1/150 degrees per µm at the fovea",
         )?;
         check("geometry.ora_retinal_deg", g.ora_retinal_deg, 60.0, 120.0, "60 to 120")?;
-        check("geometry.ora_dip", g.ora_dip, 0.0, 0.1, "0 to 0.1")?;
+        check("geometry.ora_dip", g.ora_dip, -0.1, 0.1, "-0.1 to 0.1")?;
         let (value, allowed) = (g.ora_density_per_mm2, "1000 to 10000");
         check("geometry.ora_density_per_mm2", value, 1_000.0, 10_000.0, allowed)
     }

@@ -57,7 +57,7 @@ pub enum ImportError {
     },
     /// A cone lies where no cones live.
     #[error(
-        "line {line}, columns x_um and y_um: ({x_um}, {y_um}) µm is outside the retina; allowed are places inside the ora (about 120 retinal degrees, 25,000 µm) and outside the optic disc"
+        "line {line}, columns x_um and y_um: ({x_um}, {y_um}) µm is outside the retina; allowed are places inside the ora (102 retinal degrees, 21,400 µm; nasal 111, temporal 93) and outside the optic disc"
     )]
     OutsideRetina {
         /// The line.

@@ -7,6 +7,7 @@
     reason = "tests fail by panicking and print what they find"
 )]
 
+mod cones;
 mod direction;
 mod media;
 mod paper;

@@ -8,7 +8,7 @@ mod scene;
 use photoneye_eye::experiment::{Counts, Engine, Experiment, PaperSettings, Retina, Video};
 use photoneye_eye::plan::engine::automatic;
 use photoneye_eye::plan::{Knobs, Rule};
-use photoneye_eye::retina::{CellWalls, DensityLaw, Dropout, Generator};
+use photoneye_eye::retina::{Aperture, CellWalls, DensityLaw, Dropout, Generator};
 use photoneye_proto::{FieldError, v1};
 
 pub use eye::DEFAULT_EYE;
@@ -55,7 +55,7 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
 
 /// `white_td` is the retinal illuminance by the display's white, trolands.
 fn retina(spec: Option<&v1::Retina>, white_td: f64) -> Result<Retina, FieldError> {
-    use v1::retina::{CellWalls as W, Density as D, Generator as G};
+    use v1::retina::{Aperture as A, CellWalls as W, Density as D, Generator as G};
     let spec = spec.cloned().unwrap_or_default();
     let default = Retina::default();
     let region_deg = match spec.region_deg {
@@ -80,6 +80,10 @@ fn retina(spec: Option<&v1::Retina>, white_td: f64) -> Result<Retina, FieldError
         cell_walls: match choice("retina.cell_walls", spec.cell_walls, W::Power, W::as_str_name)? {
             W::Power => CellWalls::Power,
             W::Averaging => CellWalls::Averaging,
+        },
+        aperture: match choice("retina.aperture", spec.aperture, A::Cell, A::as_str_name)? {
+            A::Cell => Aperture::Cell,
+            A::InnerSegment => Aperture::InnerSegment,
         },
         peak_density_per_mm2: number(spec.peak_density_per_mm2, default.peak_density_per_mm2),
         total_cones: spec.total_cones.map(|total| total + 0.0),

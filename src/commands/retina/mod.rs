@@ -179,7 +179,7 @@ fn edges(mosaic: &Mosaic) -> Vec<f64> {
 fn reach(mosaic: &Mosaic) -> RegionUm {
     const DIRECTIONS: u32 = 128;
     let geometry = &mosaic.params.geometry;
-    let edge = geometry.radius_um * (geometry.ora_retinal_deg * (1.0 + geometry.ora_dip)).to_radians();
+    let edge = geometry.radius_um * (geometry.ora_retinal_deg * (1.0 + geometry.ora_dip.abs())).to_radians();
     let (mut min, mut max) = (DVec2::ZERO, DVec2::ZERO);
     for step in 0..DIRECTIONS {
         let way = DVec2::from_angle(std::f64::consts::TAU * f64::from(step) / f64::from(DIRECTIONS));
