@@ -4,7 +4,7 @@
 mod support;
 
 use photoneye_eye::display::{Channel, White};
-use photoneye_eye::experiment::{Engine, Experiment, Pattern};
+use photoneye_eye::experiment::{Engine, Experiment, Pattern, StrayLight};
 use photoneye_eye::plan::engine::automatic;
 use photoneye_eye::plan::plan;
 use photoneye_eye::spectrum::Spectrum;
@@ -23,6 +23,9 @@ fn scene(luminance: f64) -> Experiment {
 fn auto_takes_what_is_clearly_faster() {
     assert_eq!(automatic(&scene(0.001)).unwrap(), Engine::Events);
     assert_eq!(automatic(&scene(250.0)).unwrap(), Engine::Expected);
+    let mut hazy = scene(0.001);
+    hazy.eye.stray_light = Some(StrayLight { age_years: 70.0, pigmentation: 0.5 });
+    assert_eq!(automatic(&hazy).unwrap(), Engine::Events);
     let mut means = scene(0.001);
     means.counts.poisson = false;
     assert_eq!(automatic(&means).unwrap(), Engine::Expected);

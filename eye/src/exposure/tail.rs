@@ -34,8 +34,10 @@ const POINTS: usize = 49;
 const COPIES: i32 = 2;
 /// Angular terms: 1, cos 2θ, sin 2θ.
 const TERMS: usize = 3;
-/// Pixels along each side of a block beyond the window that are looked at, at most.
-const LOOKS: u32 = 4;
+/// Pixels along each side of a block beyond the window that are looked at, at most: enough for what is 3e-4 of the mean.
+pub const LOOKS: u32 = 4;
+/// All of them: beside scattered light a single lit pixel matters.
+pub const ALL: u32 = u32::MAX;
 
 /// One cone, where it reads the correction.
 struct Reader {
@@ -76,8 +78,8 @@ pub struct Tail {
 }
 
 impl Tail {
-    /// Prepares the correction over a tile's cones; `None` when it has none.
-    pub fn new(scene: &Scene, primaries: &Primaries, cones: &ConeTable) -> Option<Self> {
+    /// Prepares the correction over a tile's cones, with [`LOOKS`] or [`ALL`] pixels of a block; `None` when it has none.
+    pub fn new(scene: &Scene, primaries: &Primaries, cones: &ConeTable, looks: u32) -> Option<Self> {
         let Primaries { kernels, projector } = primaries;
         if cones.cones.is_empty() || scene.size_px.contains(&0) {
             return None;
@@ -86,7 +88,7 @@ impl Tail {
         let period = DVec2::new(scene.period_px[0] as f64, scene.period_px[1] as f64);
         let blocks = blocks(scene, period, [min, max]);
         let middles: Vec<DVec2> = blocks.iter().map(|block| middle(corners(block))).collect();
-        let (beyond, places) = beyond(projector, scene, [min, max]);
+        let (beyond, places) = beyond(projector, scene, [min, max], looks);
         let [xs, ys] = [0, 1].map(|axis| chebyshev(min[axis], max[axis].max(min[axis] + 1e-9), NODES));
         let nodes: Vec<DVec2> = ys.iter().flat_map(|y| xs.iter().map(move |x| DVec2::new(*x, *y))).collect();
         let tails: Vec<Vec<[f64; TERMS]>> = nodes
@@ -179,7 +181,7 @@ impl Tail {
         let display = &projector.display;
         let courses = courses(emitter, display, shown.index);
         let photons = emitter.emitted() * projector.pupil_share;
-        light.extend(self.beyond.iter().map(|block| {
+        light.par_extend(self.beyond.par_iter().map(|block| {
             let of = |at: &[u32; 2]| frame_light(display, emitter, &courses, shown, *at);
             block.each * photons * block.pixels.iter().map(of).sum::<f64>()
         }));
@@ -320,7 +322,12 @@ fn middle([from, to]: [DVec2; 2]) -> DVec2 {
 }
 
 /// Blocks of the screen beyond the window, with their middles in pixels from the window's corner.
-fn beyond(projector: &Projector, scene: &Scene, [min, max]: [DVec2; 2]) -> (Vec<Beyond>, Vec<DVec2>) {
+fn beyond(
+    projector: &Projector,
+    scene: &Scene,
+    [min, max]: [DVec2; 2],
+    looks: u32,
+) -> (Vec<Beyond>, Vec<DVec2>) {
     let [width, height] = [projector.display.width_px, projector.display.height_px];
     let ([left, top], [across, down]) = (scene.first_px, scene.size_px);
     let (right, bottom) = (left + across, top + down);
@@ -336,7 +343,7 @@ fn beyond(projector: &Projector, scene: &Scene, [min, max]: [DVec2; 2]) -> (Vec<
     let (mut blocks, mut places) = (Vec::new(), Vec::new());
     for block in halved(around, |corners| 0.5 * gap(seen(corners))) {
         let [x0, y0, x1, y1] = block;
-        let (columns, rows) = ((x1 - x0).min(LOOKS), (y1 - y0).min(LOOKS));
+        let (columns, rows) = ((x1 - x0).min(looks), (y1 - y0).min(looks));
         // Odd steps through the pixels: a regular pattern is not met always at the same phase.
         let place = |i: u32, n: u32, size: u32, other: u32| {
             (i * size / n + (other * 7 + i * 3) % (size / n)).min(size - 1)

@@ -68,7 +68,7 @@ impl EngineCost {
 /// # Errors
 /// Those of [`super::plan`].
 pub fn automatic(experiment: &Experiment) -> Result<Engine, PlanError> {
-    if !experiment.counts.poisson || experiment.eye.stray_light.is_some() {
+    if !experiment.counts.poisson {
         return Ok(Engine::Expected);
     }
     let mut experiment = experiment.clone();
@@ -149,7 +149,6 @@ pub(super) fn reason(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTil
     let why = match counts.engine {
         Engine::Paper => "asked for",
         Engine::Expected if !counts.poisson => "means are asked for",
-        Engine::Expected if experiment.eye.stray_light.is_some() => "it has the stray light",
         Engine::Expected if events < CLEARLY * expected => match drawn_in_target(experiment) {
             Ok(true) => "asked for",
             _ => "EVENTS is faster, but not as exact as the target",

@@ -14,11 +14,13 @@ use crate::display::{FORGOTTEN, Levels, Primary, Waveform};
 use crate::experiment::{Engine, Experiment, StrayLight};
 use crate::exposure::inputs::{POINTING_SHARE, pointing_effect, pointing_of};
 use crate::exposure::primaries;
-use crate::exposure::stray::scattered_share;
+use crate::exposure::stray::angle::Scatter;
 use crate::media::MACULA_EDGE_DEG;
 use crate::psf::{Wavefront, WavefrontOptions};
 
 /// Visual eccentricity beyond which neither macula nor pigments change, degrees.
+/// Fraction of the light that is scattered, where it cannot be computed.
+const USUAL_SCATTER: f64 = 0.15;
 const GRADIENTS_END_DEG: f64 = 13.0;
 
 /// What the rules look at.
@@ -264,11 +266,13 @@ fn bleaching(look: &Look) -> Option<Omission> {
     experiment.retina.bleaching_td.is_none().then(|| omission("bleaching", &why, bound))
 }
 
+/// What the eye of a person of 30 years would take out of the image.
 fn stray_light(look: &Look) -> Option<Omission> {
     let usual = StrayLight { age_years: 30.0, pigmentation: 0.5 };
-    let why = "scattered light stays in the image; at 30 years so much of it would be spread as a veil over the whole field, see eye.stray_light";
+    let why = "scattered light stays in the image; at 30 years so much of every pixel's light would leave its image and be spread over the field as the glare function of CIE 135/1 says, 14 /sr at 1°, 0.6 /sr at 3°, 0.05 /sr at 10°, so that dark places beside light ones would not be dark, see eye.stray_light";
     let none = look.experiment.eye.stray_light.is_none();
-    none.then(|| omission("light scattered in the eye", why, scattered_share(usual)))
+    let fraction = || Scatter::new(look.experiment, usual).map_or(USUAL_SCATTER, |s| s.fraction());
+    none.then(|| omission("light scattered in the eye", why, fraction()))
 }
 
 fn reflections(look: &Look) -> Option<Omission> {

@@ -10,6 +10,7 @@
 
 mod collection;
 mod direct;
+mod scattered;
 mod verdict;
 
 use glam::DVec2;
