@@ -23,9 +23,6 @@ fn scene(luminance: f64) -> Experiment {
 fn auto_takes_what_is_clearly_faster() {
     assert_eq!(automatic(&scene(0.001)).unwrap(), Engine::Events);
     assert_eq!(automatic(&scene(250.0)).unwrap(), Engine::Expected);
-    let mut hazy = scene(0.001);
-    hazy.eye.stray_light = Some(StrayLight { age_years: 70.0, pigmentation: 0.5 });
-    assert_eq!(automatic(&hazy).unwrap(), Engine::Events);
     let mut means = scene(0.001);
     means.counts.poisson = false;
     assert_eq!(automatic(&means).unwrap(), Engine::Expected);
@@ -33,6 +30,22 @@ fn auto_takes_what_is_clearly_faster() {
     one.frames = 1;
     one.display.primaries = figure_12(Pattern::Checkerboard { square_px: 3 }).display.primaries;
     assert_eq!(automatic(&one).unwrap(), Engine::Expected, "tables of many wavelengths for one frame");
+}
+
+/// Both engines scatter light, at the same price: neither is clearly faster here, and either may be asked for.
+#[test]
+fn scattered_light_forbids_no_engine() {
+    let mut hazy = scene(0.001);
+    hazy.eye.stray_light = Some(StrayLight { age_years: 70.0, pigmentation: 0.5 });
+    assert_eq!(automatic(&hazy).unwrap(), Engine::Expected);
+    for (engine, name) in
+        [(Engine::Expected, "EXPECTED"), (Engine::Events, "EVENTS"), (Engine::Paper, "PAPER")]
+    {
+        hazy.counts.engine = engine;
+        let made = plan(&hazy).unwrap();
+        assert_eq!(made.engine, name);
+        assert!(made.omissions.iter().all(|omission| !omission.what.contains("scattered")));
+    }
 }
 
 #[test]

@@ -13,7 +13,7 @@ use super::light::Shown;
 use super::paper::Paper;
 use super::source::{Projector, Source};
 use super::stray::Veil;
-use super::tail::{self, Tail};
+use super::tail::{Looks, Tail};
 use super::{Exposure, ExposureError, Frame, FrameCounts, poisson, primaries};
 use crate::experiment::{Engine, Experiment};
 use crate::plan::{Numerics, Rule};
@@ -105,7 +105,7 @@ impl Prepared {
         let stray = experiment.eye.stray_light.filter(|_| engine == Engine::Expected);
         let veil = stray.map(|light| Veil::new((experiment, inputs), primaries, cones, light));
         let veil = veil.transpose().map_err(model)?;
-        let looks = if stray.is_some() { tail::ALL } else { tail::LOOKS };
+        let looks = if stray.is_some() { Looks::All } else { Looks::Few };
         let tail = || Tail::new(scene, primaries, cones, looks);
         let tail = (engine == Engine::Expected).then(tail).flatten();
         let projector = primaries.projector.clone();
@@ -139,6 +139,7 @@ impl Prepared {
         if let Some(veil) = &self.veil {
             veil.add(&mut means, shown, &self.projector);
         }
+        means.clamp();
         means
     }
 

@@ -1,4 +1,5 @@
-//! The model against independent references: slow and readable, sharing no code with the fast path beyond the eye's data tables.
+//! The model against independent references: slow and readable, sharing no code with the fast path beyond the
+//! eye's data tables.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,6 +1,7 @@
-//! Light scattered on a cone, as the sum over all pixels of the display that it is: `ω Σ_j N_j e_j ∫ S(θ) dA`, each pixel by itself, over the
-//! area of its rectangles where it is near: cut until a part is no wider than an eighth of its distance or 0.03°, nine Gauss nodes
-//! each. Shares the function S of the angle with the engines, no block, grid or transform.
+//! Light scattered on a cone, as the sum over all pixels of the display that it is: `ω Σ_j N_j e_j ∫ S(θ)
+//! dA`, each pixel by itself, over the area of its rectangles where it is near: cut until a part is no wider
+//! than an eighth of its distance or 0.03°, nine Gauss nodes each. Shares the function S of the angle with
+//! the engines, no block, grid or transform.
 
 use glam::{DVec2, DVec3};
 
@@ -31,7 +32,8 @@ pub struct Seen<'a> {
     pub shown: &'a Shown<'a>,
     /// Point of the display at the gaze centre, pixels.
     pub gaze_px: DVec2,
-    /// Point of the display that the cone sees at rest, pixels, and where it is seen on average while a primary is lit.
+    /// Point of the display that the cone sees at rest, pixels, and where it is seen on average while a
+    /// primary is lit.
     pub cone_px: DVec2,
     pub sight_px: DVec2,
 }

@@ -13,7 +13,7 @@ use crate::exposure::light::{Course, Shown, courses};
 use crate::exposure::primaries::Primaries;
 use crate::exposure::scene::Scene;
 use crate::exposure::source::{Layer, Projector, Source, SourcePrimary};
-use crate::exposure::tail::{self, Tail};
+use crate::exposure::tail::{Looks, Tail};
 use crate::exposure::{Photon, poisson};
 use crate::rng::Stream;
 
@@ -42,7 +42,7 @@ impl Beyond {
         if scene.size_px == [display.width_px, display.height_px] {
             return None;
         }
-        let looks = if scatters { tail::ALL } else { tail::LOOKS };
+        let looks = if scatters { Looks::All } else { Looks::Few };
         Some(Self { tail: Tail::new(scene, primaries, cones, looks)? })
     }
 

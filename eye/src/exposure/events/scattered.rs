@@ -1,9 +1,10 @@
-//! Light scattered in the eye: a Poisson number more a cone and primary, of the mean of `stray`; of the photons that are drawn for the image
-//! only the fraction that stays there is drawn. A Poisson process may be split by what becomes of its photons, and light that
-//! comes to a cone from all the screen is a sum of Poisson numbers, so counts keep their distribution.
+//! Light scattered in the eye: a Poisson number more a cone and primary, of the mean of `stray`; of the
+//! photons that are drawn for the image only the fraction that stays there is drawn. A Poisson process may be
+//! split by what becomes of its photons, and light that comes to a cone from all the screen is a sum of
+//! Poisson numbers, so counts keep their distribution.
 //!
-//! In a list these photons have the wavelengths that their cone counts of the primary, and the time of a pixel of the display, drawn by
-//! its light: on a scanned screen not the nearest pixels' time.
+//! In a list these photons have the wavelengths that their cone counts of the primary, and the time of a
+//! pixel of the display, drawn by its light: on a scanned screen not the nearest pixels' time.
 
 use rayon::prelude::*;
 

@@ -1,8 +1,9 @@
 //! Scattered light that cones receive: Poisson numbers, by what becomes of the photons.
 //!
-//! Of A photons that arrive at an aperture (with the pupil's apodization in them), A/t enter it from any direction, t the throughput;
-//! A·P are guided, P the cone's factor; I/(2/3) are absorbed and I isomerize. The numbers of each fate are Poisson and independent, a
-//! split Poisson process. What was scattered out of the image and comes to no cone fell between the cones.
+//! Of A photons that arrive at an aperture (with the pupil's apodization in them), A/t enter it from any
+//! direction, t the throughput; A·P are guided, P the cone's factor; I/(2/3) are absorbed and I isomerize.
+//! The numbers of each fate are Poisson and independent, a split Poisson process. What was scattered out of
+//! the image and comes to no cone fell between the cones.
 
 use super::{Paper, Tally};
 use crate::cone::ISOMERIZATION;

@@ -1,21 +1,23 @@
 //! The light scattered in an eye by the angle from its source.
 //!
-//! Glare function of the CIE (report 135/1:1999; Vos & van den Berg 1999), 1/sr, θ in degrees, a = (age/70)⁴, pigmentation p:
-//! `f = N + W`,
+//! Glare function of the CIE (report 135/1:1999; Vos & van den Berg 1999), 1/sr, θ in degrees, a = (age/70)⁴,
+//! pigmentation p: `f = N + W`,
 //! `N = (1 − 0.08 a) (9.2e6/(1 + (θ/0.0046)²)^1.5 + 1.5e5/(1 + (θ/0.045)²)^1.5)`,
-//! `W = (1 + 1.6 a) (400/(1 + (θ/0.1)²) + 3e-8 θ² + p (1300/(1 + (θ/0.1)²)^1.5 + 0.8/(1 + (θ/0.1)²)^0.5)) + 2.5e-3 p` (1).
+//! `W = (1 + 1.6 a) (400/(1 + (θ/0.1)²) + 3e-8 θ² + p (1300/(1 + (θ/0.1)²)^1.5 + 0.8/(1 + (θ/0.1)²)^0.5)) +
+//! 2.5e-3 p` (1).
 //! It is taken as the same at all wavelengths.
 //!
-//! The kernels hold diffraction and the aberrations of the traced eye. Far from the image their spread is that of the pupil's edge: with
-//! light of wavelength λ through a pupil of diameter d the transfer falls as `1 − 4λν/(πd)` from frequency 0, and the spread ends as
-//! `k(θ) = λ e/(π³ d θ³)`, θ in radians (2); e is the transmittance of the apodized pupil at its edge over its mean,
-//! `x/(eˣ − 1)`, `x = ln 10 ρ d²/4` (3).
+//! The kernels hold diffraction and the aberrations of the traced eye. Far from the image their spread is
+//! that of the pupil's edge: with light of wavelength λ through a pupil of diameter d the transfer falls as
+//! `1 − 4λν/(πd)` from frequency 0, and the spread ends as `k(θ) = λ e/(π³ d θ³)`, θ in radians (2); e is the
+//! transmittance of the apodized pupil at its edge over its mean, `x/(eˣ − 1)`, `x = ln 10 ρ d²/4` (3).
 //!
-//! Scattered is what the CIE's function has beyond that: from [`WHOLE_DEG`] on `S = W + D`, `D = N − (1 − s) k` (4), so that the light that stays in the
-//! image and what is scattered are f together. s is the fraction scattered, `s = ∫ S dΩ` over the half space (5). W is scatter at all
-//! angles. D below [`WHOLE_DEG`] cannot be told from the aberrations that the kernels hold: it goes on as the parabola in θ that has its value and
-//! slope there and no slope at 0 (6). So D is smooth, falls everywhere, ends at 2.5 times its value at [`WHOLE_DEG`], and fades out against
-//! N as θ³. All terms are positive.
+//! Scattered is what the CIE's function has beyond that: from [`WHOLE_DEG`] on `S = W + D`, `D = N − (1 − s)
+//! k` (4), so that the light that stays in the image and what is scattered are f together. s is the fraction
+//! scattered, `s = ∫ S dΩ` over the half space (5). W is scatter at all angles. D below [`WHOLE_DEG`] cannot
+//! be told from the aberrations that the kernels hold: it goes on as the parabola in θ that has its value and
+//! slope there and no slope at 0 (6). So D is smooth, falls everywhere, ends at 2.5 times its value at
+//! [`WHOLE_DEG`], and fades out against N as θ³. All terms are positive.
 
 use std::f64::consts::{LN_10, PI, TAU};
 
@@ -178,7 +180,8 @@ mod tests {
         }
     }
 
-    /// What stays in the image and what is scattered are the glare function; the latter is positive, falls and has no step.
+    /// What stays in the image and what is scattered are the glare function; the latter is positive, falls
+    /// and has no step.
     #[test]
     fn both_together_are_the_glare_function() {
         for age in [1.0, 20.0, 70.0, 100.0] {

@@ -1,9 +1,10 @@
 //! Directions: of places of the display, and flat coordinates for those around a tile.
 //!
-//! Stereographic projection about the tile's middle, `w = 2 tan(θ/2)` in degrees, is conformal: with z = w/2 in radians the chord between two
-//! directions is `2 |z₁ − z₂|/√((1 + z₁²)(1 + z₂²))` (1), so that near the middle angles are distances. A function that falls as
-//! `θ^-n` is larger by `((1 + z₁²)(1 + z₂²))^{n/2}` (2) than that of the distance; with n = 1.5, between the flat
-//! core and the steep skirt of what is scattered, at most 0.3 % of it is left in a tile of 7°.
+//! Stereographic projection about the tile's middle, `w = 2 tan(θ/2)` in degrees, is conformal: with z = w/2
+//! in radians the chord between two directions is `2 |z₁ − z₂|/√((1 + z₁²)(1 + z₂²))` (1), so that near the
+//! middle angles are distances. A function that falls as `θ^-n` is larger by `((1 + z₁²)(1 + z₂²))^{n/2}` (2)
+//! than that of the distance; with n = 1.5, between the flat core and the steep skirt of what is scattered,
+//! at most 0.3 % of it is left in a tile of 7°.
 
 use glam::{DVec2, DVec3};
 
@@ -110,8 +111,8 @@ impl Chart {
         (1.0 + z.length_squared()).powf(0.5 * FALL)
     }
 
-    /// The pixels of a display in a rectangle of places, a few more: least and most along both axes. The whole display where the
-    /// rectangle reaches to the side of the eye.
+    /// The pixels of a display in a rectangle of places, a few more: least and most along both axes. The
+    /// whole display where the rectangle reaches to the side of the eye.
     pub fn pixels(&self, screen: &Screen, [min, max]: [DVec2; 2]) -> [DVec2; 2] {
         /// Points on each edge.
         const POINTS: u32 = 32;

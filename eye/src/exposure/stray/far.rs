@@ -1,9 +1,11 @@
 //! Light from afar: blocks of the display, the wider the farther they are.
 //!
-//! `V(x) = Σ_b Σ_i L_bi e_bi S(θ_xbi) (1 − χ(θ_xbi))`: light L of node i of block b ([`super::lattice`]), e what of it enters the pupil. The blocks of a
-//! level are leaves, two by two of those of the level before, with [`NODES`] nodes along a side; for a point x a block counts as
-//! one when it is no wider than [`WIDTH`] of its distance. A quadratic of a function that falls as θ⁻³ over a
-//! quarter of the distance is off by 0.5 % at most. Points are [`STEP_DEG`] apart, with cubics between: what is left is smooth over [`near::FROM_DEG`](super::near).
+//! `V(x) = Σ_b Σ_i L_bi e_bi S(θ_xbi) (1 − χ(θ_xbi))`: light L of node i of block b ([`super::lattice`]), e
+//! what of it enters the pupil. The blocks of a level are leaves, two by two of those of the level before,
+//! with [`NODES`] nodes along a side; for a point x a block counts as one when it is no wider than [`WIDTH`]
+//! of its distance. A quadratic of a function that falls as θ⁻³ over a quarter of the distance is off by 0.5
+//! % at most. Points are [`STEP_DEG`] apart, with cubics between: what is left is smooth over
+//! [`near::FROM_DEG`](super::near).
 
 use glam::DVec2;
 use rayon::prelude::*;

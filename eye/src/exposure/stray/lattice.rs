@@ -1,9 +1,11 @@
-//! The display's light on a lattice of nodes: what a smooth function of the place, integrated over the light, needs of it.
+//! The display's light on a lattice of nodes: what a smooth function of the place, integrated over the light,
+//! needs of it.
 //!
-//! The display is cut into leaves of equal sides with n Chebyshev nodes along each axis. Inside a leaf a smooth function is
-//! `F(x) ≈ Σ_i F(x_i) l_i(x)`, with the Lagrange polynomials of the nodes, so its integral over light L is
-//! `∫ L F ≈ Σ_i F(x_i) ∫ L l_i`. The integrals of l_i over a pixel's rectangles are exact for pixels of any size, smaller or larger than
-//! a leaf; rectangles are products, so each axis is done by itself.
+//! The display is cut into leaves of equal sides with n Chebyshev nodes along each axis. Inside a leaf a
+//! smooth function is `F(x) ≈ Σ_i F(x_i) l_i(x)`, with the Lagrange polynomials of the nodes, so its integral
+//! over light L is `∫ L F ≈ Σ_i F(x_i) ∫ L l_i`. The integrals of l_i over a pixel's rectangles are exact for
+//! pixels of any size, smaller or larger than a leaf; rectangles are products, so each axis is done by
+//! itself.
 
 use std::ops::Range;
 
@@ -138,7 +140,8 @@ impl Lattice {
         Self { axes, pixels, rects }
     }
 
-    /// Light of the nodes `[row][column]` of an emitter, from that of all pixels of a display `[row][column]`, `width` in a row.
+    /// Light of the nodes `[row][column]` of an emitter, from that of all pixels of a display
+    /// `[row][column]`, `width` in a row.
     pub fn light(&self, emitter: usize, pixels: &[f64], width: usize) -> Vec<f64> {
         let columns = self.axes[0].len();
         let mut nodes = vec![0.0; columns * self.axes[1].len()];
@@ -171,7 +174,8 @@ mod tests {
     use super::*;
     use crate::display::{Channel, Waveform};
 
-    /// Cubic functions are integrated exactly over pixels smaller and larger than a leaf; a spot adds its variance.
+    /// Cubic functions are integrated exactly over pixels smaller and larger than a leaf; a spot adds its
+    /// variance.
     #[test]
     fn polynomials_are_integrated_over_pixels() {
         for (leaf, leaves, spot_sd_px) in [(7.3, 4, 0.0), (0.7, 40, 0.0), (0.7, 60, 0.4)] {

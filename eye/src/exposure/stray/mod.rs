@@ -1,18 +1,20 @@
 //! Light scattered in the eye: a veil over the image.
 //!
-//! The image keeps 1 − s of its light ([`angle`]: the function S of the angle and its integral s); a cone at x receives as from a screen
-//! that sends `V(x) = ω_x Σ_j N_j e_j S(θ_xj)` photons a pixel (1): ω the pixel's solid angle at the cone's place, N the photons of pixel j into
-//! the pupil as if it were at the gaze centre, e what of them enters at its place. What a cone's photons enter by is so taken at their
-//! source, in the image and in the veil: `∫ V dx` over all directions is s of the light that entered.
+//! The image keeps 1 − s of its light ([`angle`]: the function S of the angle and its integral s). A cone at x
+//! receives as from a screen that sends `V(x) = ω_x Σ_j N_j e_j S(θ_xj)` photons a pixel (1): ω is the solid
+//! angle of a pixel at the cone's place, N the photons of pixel j into the pupil as if it were at the gaze
+//! centre, e the obliquity factor of the screen and the pupil at the pixel's own place. So light is spread as it
+//! entered: `∫ V dx` over all directions is s of the light in the pupil, wherever it came from.
 //!
-//! V is a sum over light from near by ([`near`], a convolution) and from afar ([`far`], blocks); pixels of any size are integrated over
-//! their rectangles ([`lattice`]).
+//! V is a sum over light from near by ([`near`], a convolution) and from afar ([`far`], blocks); pixels of any
+//! size are integrated over their rectangles ([`lattice`]).
 //!
 //! # Accuracy
 //! 1 % of V, of pixels of any size at any distance; see `tests/validity/stray.rs`.
 //!
 //! # Cost
-//! A screen of 1280 x 1024 pixels before a tile of 7°: some seconds to prepare, tens of milliseconds a frame and primary.
+//! A screen of 1280 x 1024 pixels, a tile of 3.4° with 45,000 cones, two primaries, two cores: 0.6 s to prepare,
+//! 0.1 s a frame.
 
 pub mod angle;
 mod chart;

@@ -1,8 +1,9 @@
 //! Light from near by: a convolution on the tile's chart.
 //!
-//! `V(w) = Σ L(w') S(|w − w'|) χ(|w − w'|)`, χ from 1 to 0 between [`FROM_DEG`] and [`TO_DEG`] ([`near_part`]). The lattice's light is
-//! spread on even points by the transpose of cubic interpolation, convolved by Fourier transforms and read by cubics. S is smooth over
-//! 0.1°: with points of [`STEP_DEG`] cubics leave 0.3 % of its peak at most (f'''' = 45/(0.1°)⁴, 3/128 f'''' h⁴ an axis and step).
+//! `V(w) = Σ L(w') S(|w − w'|) χ(|w − w'|)`, χ from 1 to 0 between [`FROM_DEG`] and [`TO_DEG`]
+//! ([`near_part`]). The lattice's light is spread on even points by the transpose of cubic interpolation,
+//! convolved by Fourier transforms and read by cubics. S is smooth over 0.1°: with points of [`STEP_DEG`]
+//! cubics leave 0.3 % of its peak at most (f'''' = 45/(0.1°)⁴, 3/128 f'''' h⁴ an axis and step).
 
 use std::sync::Arc;
 
@@ -107,7 +108,8 @@ impl Near {
         Some(Self { points, lattice, nodes, transform })
     }
 
-    /// V of up to two emitters, from the light of all pixels of the display, `width` in a row: as real and imaginary parts at the points.
+    /// V of up to two emitters, from the light of all pixels of the display, `width` in a row: as real and
+    /// imaginary parts at the points.
     pub fn light(&self, emitters: &[(usize, &[f64])], width: usize) -> Vec<Complex64> {
         let mut image = vec![Complex64::ZERO; self.points.size[0] * self.points.size[1]];
         for (part, (emitter, pixels)) in emitters.iter().enumerate() {
