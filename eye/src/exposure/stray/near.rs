@@ -5,6 +5,7 @@
 //! convolved by Fourier transforms and read by cubics. S is smooth over 0.1°: with points of [`STEP_DEG`]
 //! cubics leave 0.3 % of its peak at most (f'''' = 45/(0.1°)⁴, 3/128 f'''' h⁴ an axis and step).
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::DVec2;
@@ -38,7 +39,7 @@ pub fn near_part(theta_deg: f64) -> f64 {
 /// A node of the lattice on the points.
 struct Node {
     /// In the lattice.
-    node: u32,
+    number: u32,
     /// Counted in points.
     at: [f32; 2],
     /// Light that enters the pupil, and the chart's scale.
@@ -78,7 +79,7 @@ impl Near {
             let first = (from[axis] - hang[axis][1]).floor().max(0.0) as u32;
             first..((to[axis] - hang[axis][0]).ceil() as u32).min(screen.size[axis])
         });
-        if pixels.iter().any(|range| range.is_empty()) {
+        if pixels.iter().any(Range::is_empty) {
             return None;
         }
         let axes = [0, 1].map(|axis| {
@@ -95,7 +96,7 @@ impl Near {
             let px = DVec2::new(lattice.axes[0].at(i % columns), lattice.axes[1].at(i / columns));
             let place = chart.at(screen.way(px));
             points.holds(place).then(|| Node {
-                node: i as u32,
+                number: i as u32,
                 at: points.place(place).as_vec2().to_array(),
                 factor: (screen.entering(px) * Chart::scale(place)) as f32,
             })
@@ -115,7 +116,7 @@ impl Near {
         for (part, (emitter, pixels)) in emitters.iter().enumerate() {
             let light = self.lattice.light(*emitter, pixels, width);
             for node in &self.nodes {
-                let light = light[node.node as usize] * f64::from(node.factor);
+                let light = light[node.number as usize] * f64::from(node.factor);
                 if light.abs() <= 0.0 {
                     continue;
                 }
