@@ -20,7 +20,7 @@ use crate::psf::{Wavefront, WavefrontOptions};
 
 /// Visual eccentricity beyond which neither macula nor pigments change, degrees.
 /// Fraction of the light that is scattered, where it cannot be computed.
-const USUAL_SCATTER: f64 = 0.15;
+const USUAL_SCATTER: f64 = 0.18;
 const GRADIENTS_END_DEG: f64 = 13.0;
 
 /// What the rules look at.
