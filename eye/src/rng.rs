@@ -34,6 +34,8 @@ pub enum Purpose {
     Events = 11,
     /// Cones that are computed again.
     Audit = 12,
+    /// Photons of scattered light.
+    Scattered = 13,
 }
 
 const MUL: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

@@ -4,7 +4,7 @@
 mod support;
 
 use photoneye_eye::display::{Channel, White};
-use photoneye_eye::experiment::{Engine, Experiment, Pattern};
+use photoneye_eye::experiment::{Engine, Experiment, Pattern, StrayLight};
 use photoneye_eye::plan::engine::automatic;
 use photoneye_eye::plan::plan;
 use photoneye_eye::spectrum::Spectrum;
@@ -30,6 +30,22 @@ fn auto_takes_what_is_clearly_faster() {
     one.frames = 1;
     one.display.primaries = figure_12(Pattern::Checkerboard { square_px: 3 }).display.primaries;
     assert_eq!(automatic(&one).unwrap(), Engine::Expected, "tables of many wavelengths for one frame");
+}
+
+/// All engines scatter light, at the same price, and each may be asked for; `AUTO` takes what is clearly faster with it.
+#[test]
+fn scattered_light_forbids_no_engine() {
+    let mut hazy = scene(0.001);
+    hazy.eye.stray_light = Some(StrayLight { age_years: 70.0, pigmentation: 0.5 });
+    assert_eq!(automatic(&hazy).unwrap(), Engine::Events);
+    for (engine, name) in
+        [(Engine::Expected, "EXPECTED"), (Engine::Events, "EVENTS"), (Engine::Paper, "PAPER")]
+    {
+        hazy.counts.engine = engine;
+        let made = plan(&hazy).unwrap();
+        assert_eq!(made.engine, name);
+        assert!(made.omissions.iter().all(|omission| !omission.what.contains("scattered")));
+    }
 }
 
 #[test]

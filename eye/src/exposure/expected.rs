@@ -44,6 +44,15 @@ pub struct Means {
     pub clamped: u64,
 }
 
+impl Means {
+    /// Sets means below 0 to 0: when all light is in them, so that ringing around a bright pixel adds nothing to what is dim beside it.
+    pub fn clamp(&mut self) {
+        for mean in self.isomerized.iter_mut().filter(|mean| **mean < 0.0) {
+            (*mean, self.clamped) = (0.0, self.clamped + 1);
+        }
+    }
+}
+
 /// Cones that are gathered together.
 const CONES: usize = 512;
 
@@ -123,8 +132,7 @@ impl Expected {
                 self.stencils.gather(sheet, cones.clone(), own, values);
             }
         });
-        let clamped = values.iter().filter(|v| **v < 0.0).count() as u64;
-        Means { isomerized: values.into_iter().map(|v| v.max(0.0)).collect(), arrived, guided, clamped }
+        Means { isomerized: values, arrived, guided, clamped: 0 }
     }
 }
 

@@ -13,7 +13,7 @@ use super::light::Shown;
 use super::paper::Paper;
 use super::source::{Projector, Source};
 use super::stray::Veil;
-use super::tail::Tail;
+use super::tail::{Looks, Tail};
 use super::{Exposure, ExposureError, Frame, FrameCounts, poisson, primaries};
 use crate::experiment::{Engine, Experiment};
 use crate::plan::{Numerics, Rule};
@@ -100,10 +100,14 @@ impl Prepared {
         let counter: Box<dyn Counter> = match engine {
             Engine::Expected => Box::new(Expected::new(scene, primaries, cones, &settings)),
             Engine::Events => Box::new(Events::new(experiment, inputs, primaries, cones).map_err(model)?),
-            Engine::Paper => Box::new(Paper::new(experiment, inputs).map_err(model)?),
+            Engine::Paper => Box::new(Paper::new(experiment, inputs, cones).map_err(model)?),
         };
-        let veil = experiment.eye.stray_light.map(|light| Veil::new(inputs, primaries, cones, light));
-        let tail = (engine == Engine::Expected).then(|| Tail::new(scene, primaries, cones)).flatten();
+        let stray = experiment.eye.stray_light.filter(|_| engine == Engine::Expected);
+        let veil = stray.map(|light| Veil::new((experiment, inputs), primaries, cones, light));
+        let veil = veil.transpose().map_err(model)?;
+        let looks = if stray.is_some() { Looks::All } else { Looks::Few };
+        let tail = || Tail::new(scene, primaries, cones, looks);
+        let tail = (engine == Engine::Expected).then(tail).flatten();
         let projector = primaries.projector.clone();
         Ok(Self { projector, ledger, counter, tail, veil, first: OnceLock::new() })
     }
@@ -135,6 +139,7 @@ impl Prepared {
         if let Some(veil) = &self.veil {
             veil.add(&mut means, shown, &self.projector);
         }
+        means.clamp();
         means
     }
 

@@ -20,7 +20,7 @@ use super::cones::ConeTable;
 use super::expected::Means;
 use super::grid::dot;
 use super::kernel::Kernels;
-use super::light::{Shown, courses, frame_light};
+use super::light::{Shown, Window, courses, frame_light};
 use super::nodes::{chebyshev, lagrange};
 use super::primaries::Primaries;
 use super::scene::Scene;
@@ -34,8 +34,36 @@ const POINTS: usize = 49;
 const COPIES: i32 = 2;
 /// Angular terms: 1, cos 2θ, sin 2θ.
 const TERMS: usize = 3;
-/// Pixels along each side of a block beyond the window that are looked at, at most.
+/// Pixels along each side of a block beyond the window that are looked at, at most: enough for what is 3e-4 of the mean.
 const LOOKS: u32 = 4;
+
+/// How closely the light is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Looks {
+    /// At some pixels of wide blocks: enough for what is 3e-4 of the mean.
+    Few,
+    /// At all pixels of narrow blocks: beside scattered light the skirt of a single bright pixel matters far from it. A sixteenth of the
+    /// distance leaves 9 % of the skirt, 0.5 % of all the light there.
+    All,
+}
+
+impl Looks {
+    /// Widest block of the window and beyond it, parts of the distance of its nearest copy or of itself.
+    fn widest(self) -> [f64; 2] {
+        match self {
+            Self::Few => [1.0 / 3.0, 0.5],
+            Self::All => [1.0 / 16.0; 2],
+        }
+    }
+
+    /// Most pixels along a side of a block.
+    fn pixels(self) -> u32 {
+        match self {
+            Self::Few => LOOKS,
+            Self::All => u32::MAX,
+        }
+    }
+}
 
 /// One cone, where it reads the correction.
 struct Reader {
@@ -64,6 +92,7 @@ pub struct Tail {
     /// Columns of the window.
     width_px: usize,
     beyond: Vec<Beyond>,
+    looks: Looks,
     /// `[term][node][block]`: tails at the nodes of a photon a block; blocks of the window (their copies, negative), then those beyond.
     responses: Vec<Vec<f32>>,
     /// `[kind][primary][term]`: factors of the terms.
@@ -76,17 +105,17 @@ pub struct Tail {
 }
 
 impl Tail {
-    /// Prepares the correction over a tile's cones; `None` when it has none.
-    pub fn new(scene: &Scene, primaries: &Primaries, cones: &ConeTable) -> Option<Self> {
+    /// Prepares the correction over a tile's cones, with few or all pixels looked at; `None` when it has none.
+    pub fn new(scene: &Scene, primaries: &Primaries, cones: &ConeTable, looks: Looks) -> Option<Self> {
         let Primaries { kernels, projector } = primaries;
         if cones.cones.is_empty() || scene.size_px.contains(&0) {
             return None;
         }
         let (min, max) = bounds(cones.cones.iter().flat_map(|c| c.polygon_px.iter().copied()));
         let period = DVec2::new(scene.period_px[0] as f64, scene.period_px[1] as f64);
-        let blocks = blocks(scene, period, [min, max]);
+        let blocks = blocks(scene, period, [min, max], looks.widest()[0]);
         let middles: Vec<DVec2> = blocks.iter().map(|block| middle(corners(block))).collect();
-        let (beyond, places) = beyond(projector, scene, [min, max]);
+        let (beyond, places) = beyond(projector, scene, [min, max], looks);
         let [xs, ys] = [0, 1].map(|axis| chebyshev(min[axis], max[axis].max(min[axis] + 1e-9), NODES));
         let nodes: Vec<DVec2> = ys.iter().flat_map(|y| xs.iter().map(move |x| DVec2::new(*x, *y))).collect();
         let tails: Vec<Vec<[f64; TERMS]>> = nodes
@@ -129,6 +158,7 @@ impl Tail {
             blocks,
             width_px: scene.size_px[0] as usize,
             beyond,
+            looks,
             responses: (0..TERMS).map(term).collect(),
             slopes,
             weights: (0..POINTS).map(point).collect(),
@@ -157,14 +187,9 @@ impl Tail {
             means.guided += node * guided;
         }
         let grids: Vec<Vec<f32>> = by_kind[..ARRIVING].iter().map(|nodes| self.grid(nodes)).collect();
-        let mut clamped = 0;
         for (mean, reader) in means.isomerized.iter_mut().zip(&self.readers) {
             *mean += f64::from(reader.factor * reader.read(&grids[reader.kind as usize]));
-            if *mean < 0.0 {
-                (*mean, clamped) = (0.0, clamped + 1);
-            }
         }
-        means.clamped += clamped;
     }
 
     /// A primary's light by block: of the window, then beyond.
@@ -178,8 +203,15 @@ impl Tail {
         let display = &projector.display;
         let courses = courses(emitter, display, shown.index);
         let photons = emitter.emitted() * projector.pupil_share;
-        light.extend(self.beyond.iter().map(|block| {
-            let of = |at: &[u32; 2]| frame_light(display, emitter, &courses, shown, *at);
+        // All pixels are faster in rows.
+        let size = [display.width_px, display.height_px];
+        let rows = (self.looks == Looks::All && !self.beyond.is_empty())
+            .then(|| Window { first: [0; 2], size }.frame_light(display, emitter, &courses, shown));
+        light.par_extend(self.beyond.par_iter().map(|block| {
+            let of = |at: &[u32; 2]| match &rows {
+                Some(rows) => rows[at[1] as usize * display.width_px as usize + at[0] as usize],
+                None => frame_light(display, emitter, &courses, shown, *at),
+            };
             block.each * photons * block.pixels.iter().map(of).sum::<f64>()
         }));
         light
@@ -272,8 +304,8 @@ fn slopes(
     (0..kernels.shares().len()).map(of_primary).collect()
 }
 
-/// Blocks of the window, each a third as wide as its nearest copy is far from the cones.
-fn blocks(scene: &Scene, period: DVec2, [min, max]: [DVec2; 2]) -> Vec<Block> {
+/// Blocks of the window, each no wider than a part of the distance of its nearest copy from the cones.
+fn blocks(scene: &Scene, period: DVec2, [min, max]: [DVec2; 2], widest: f64) -> Vec<Block> {
     let [width, height] = scene.size_px;
     let gap = |[from, to]: [DVec2; 2]| {
         let copies = (-1..=1).flat_map(|x| (-1..=1).map(move |y| (x, y))).filter(|copy| *copy != (0, 0));
@@ -283,7 +315,7 @@ fn blocks(scene: &Scene, period: DVec2, [min, max]: [DVec2; 2]) -> Vec<Block> {
         };
         copies.map(of).fold(f64::MAX, f64::min)
     };
-    halved(vec![[0, 0, width, height]], |corners| gap(corners) / 3.0)
+    halved(vec![[0, 0, width, height]], |corners| widest * gap(corners))
 }
 
 /// Rectangles, halved until none is wider than `most` of its corners, pixels, or a pixel.
@@ -319,7 +351,12 @@ fn middle([from, to]: [DVec2; 2]) -> DVec2 {
 }
 
 /// Blocks of the screen beyond the window, with their middles in pixels from the window's corner.
-fn beyond(projector: &Projector, scene: &Scene, [min, max]: [DVec2; 2]) -> (Vec<Beyond>, Vec<DVec2>) {
+fn beyond(
+    projector: &Projector,
+    scene: &Scene,
+    [min, max]: [DVec2; 2],
+    looks: Looks,
+) -> (Vec<Beyond>, Vec<DVec2>) {
     let [width, height] = [projector.display.width_px, projector.display.height_px];
     let ([left, top], [across, down]) = (scene.first_px, scene.size_px);
     let (right, bottom) = (left + across, top + down);
@@ -333,9 +370,9 @@ fn beyond(projector: &Projector, scene: &Scene, [min, max]: [DVec2; 2]) -> (Vec<
     let gap = |[from, to]: [DVec2; 2]| (min - to).max(from - max).max(DVec2::ZERO).length();
     let seen = |block: [DVec2; 2]| block.map(|at| at - corner);
     let (mut blocks, mut places) = (Vec::new(), Vec::new());
-    for block in halved(around, |corners| 0.5 * gap(seen(corners))) {
+    for block in halved(around, |corners| looks.widest()[1] * gap(seen(corners))) {
         let [x0, y0, x1, y1] = block;
-        let (columns, rows) = ((x1 - x0).min(LOOKS), (y1 - y0).min(LOOKS));
+        let (columns, rows) = ((x1 - x0).min(looks.pixels()), (y1 - y0).min(looks.pixels()));
         // Odd steps through the pixels: a regular pattern is not met always at the same phase.
         let place = |i: u32, n: u32, size: u32, other: u32| {
             (i * size / n + (other * 7 + i * 3) % (size / n)).min(size - 1)

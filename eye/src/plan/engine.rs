@@ -42,6 +42,9 @@ const IMAGES_OF_ONE: f64 = 9.0;
 /// CPU seconds per grid sample and basis image, and for each primary more: made ready, and of a frame.
 const SECONDS_PER_READY_SAMPLE: [f64; 2] = [3e-9, 3e-9];
 const SECONDS_PER_SAMPLE: [f64; 2] = [2.5e-9, 0.5e-9];
+/// CPU seconds of the scattered light of a tile, with any engine: made ready, and of a frame; and per pixel of the display and primary.
+const SECONDS_PER_SCATTERED_TILE: [f64; 2] = [0.6, 0.012];
+const SECONDS_PER_SCATTERED_PIXEL: f64 = 40e-9;
 /// `AUTO` takes `EVENTS` when it is predicted to take less than this share of what `EXPECTED` does.
 const CLEARLY: f64 = 0.5;
 
@@ -68,7 +71,7 @@ impl EngineCost {
 /// # Errors
 /// Those of [`super::plan`].
 pub fn automatic(experiment: &Experiment) -> Result<Engine, PlanError> {
-    if !experiment.counts.poisson || experiment.eye.stray_light.is_some() {
+    if !experiment.counts.poisson {
         return Ok(Engine::Expected);
     }
     let mut experiment = experiment.clone();
@@ -149,7 +152,6 @@ pub(super) fn reason(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTil
     let why = match counts.engine {
         Engine::Paper => "asked for",
         Engine::Expected if !counts.poisson => "means are asked for",
-        Engine::Expected if experiment.eye.stray_light.is_some() => "it has the stray light",
         Engine::Expected if events < CLEARLY * expected => match drawn_in_target(experiment) {
             Ok(true) => "asked for",
             _ => "EVENTS is faster, but not as exact as the target",
@@ -167,8 +169,27 @@ fn both(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], cones: f6
         .map(|engine| cost(engine, experiment, setup, tiles, cones).seconds(experiment.frames))
 }
 
-/// What an engine costs.
+/// What an engine costs, with the light scattered in the eye.
 pub(super) fn cost(
+    engine: Engine,
+    experiment: &Experiment,
+    setup: &Setup,
+    tiles: &[PlannedTile],
+    cones: f64,
+) -> EngineCost {
+    let own = own_cost(engine, experiment, setup, tiles, cones);
+    if experiment.eye.stray_light.is_none() {
+        return own;
+    }
+    let [ready, frame] = SECONDS_PER_SCATTERED_TILE.map(|seconds| seconds * tiles.len() as f64);
+    let display = &experiment.display;
+    let pixels = f64::from(display.width_px) * f64::from(display.height_px) * tiles.len() as f64;
+    let light = pixels * super::lit::computed_primaries(experiment) as f64 * SECONDS_PER_SCATTERED_PIXEL;
+    EngineCost { prepare: own.prepare + ready, frame: own.frame + frame + light }
+}
+
+/// The same without it.
+fn own_cost(
     engine: Engine,
     experiment: &Experiment,
     setup: &Setup,

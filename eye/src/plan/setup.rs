@@ -69,10 +69,6 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     let sight = gaze.bounds(seconds);
     let region = region(experiment, &projection, sight)?;
     let guard_um = Numerics::new(experiment).guard_um;
-    if experiment.eye.stray_light.is_some() && experiment.counts.engine != Engine::Expected {
-        let allowed = "left out with counts.engine PAPER or EVENTS, which throw scattered light away (§19)";
-        return Err(RangeError::new("eye.stray_light", "given", allowed).into());
-    }
     let tiles = tiles(&region);
     if tiles.len() > 1 && experiment.counts.engine == Engine::Paper {
         let side = region.max - region.min;

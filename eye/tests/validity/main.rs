@@ -13,5 +13,6 @@ mod media;
 mod paper;
 mod pupil;
 mod source;
+mod stray;
 #[path = "../support/mod.rs"]
 mod support;

@@ -5,11 +5,11 @@ use std::f64::consts::PI;
 
 use glam::DVec2;
 
-use super::super::cones::entering;
 use super::super::light::{Course, Shown, courses, courses_at, frame_light, light};
 use super::super::source::Projector;
-use super::super::stray::{scattered_per_sr, scattered_share};
+use super::super::stray::angle::Scatter;
 use super::collection::{Collection, Optics};
+use super::scattered::Seen;
 use crate::display::Emitter;
 use crate::experiment::Experiment;
 use crate::exposure::spectral::Kind;
@@ -120,10 +120,11 @@ pub fn mean(
     };
     let mut mean: f64 = (0..projector.emitters.len()).map(|primary| sum.primary(primary)).sum();
     if let Some(stray) = experiment.eye.stray_light {
-        mean *= 1.0 - scattered_share(stray);
-        let spread = |angle: f64| scattered_per_sr(stray, angle);
-        let centre = DVec2::from_array(experiment.gaze.center_px);
-        mean += (0..projector.emitters.len()).map(|p| sum.veil(optics, p, centre, &spread)).sum::<f64>();
+        let scatter = Scatter::new(experiment, stray)?;
+        mean *= 1.0 - scatter.fraction();
+        mean += (0..projector.emitters.len())
+            .map(|p| sum.scattered(optics, experiment, p, &scatter))
+            .sum::<f64>();
     }
     Ok(mean * cone.pointing)
 }
@@ -235,30 +236,20 @@ impl Sum<'_> {
         ends.fold(0.0, f64::max)
     }
 
-    /// Counts from scattered light, `spread` (1/sr) by degrees.
-    fn veil(&self, optics: &Optics, primary: usize, centre: DVec2, spread: &dyn Fn(f64) -> f64) -> f64 {
-        let lights = self.lights;
-        let display = &self.projector.display;
-        let tangent = |px: DVec2| flip((px - centre) * self.per_px);
-        let way = |px: DVec2| tangent(px).extend(1.0).normalize();
-        let seen_from = self.centre_px + lights.sight[primary];
-        let here = way(seen_from);
-        let omega = self.per_px.powi(2) / (1.0 + tangent(seen_from).length_squared()).powf(1.5);
-        let block = f64::from(lights.block_px);
-        let mut light = 0.0;
-        for (index, sum) in lights.sums[primary].iter().enumerate() {
-            let place = DVec2::new(
-                f64::from(index as u32 % lights.columns),
-                f64::from(index as u32 / lights.columns),
-            );
-            let middle = (place + 0.5) * block;
-            let there = way(middle);
-            let angle = there.cross(here).length().atan2(there.dot(here)).to_degrees();
-            let slant = entering(display.emission_law, optics.beams, tangent(middle));
-            light += sum * slant * spread(angle) * omega;
-        }
+    /// Counts from scattered light.
+    fn scattered(&self, optics: &Optics, experiment: &Experiment, primary: usize, scatter: &Scatter) -> f64 {
+        let seen = Seen {
+            projector: self.projector,
+            beams: optics.beams,
+            shown: self.shown,
+            gaze_px: DVec2::from_array(experiment.gaze.center_px),
+            cone_px: self.centre_px,
+            sight_px: self.lights.sight[primary],
+        };
+        let emitter = &self.projector.emitters[primary];
+        let light = seen.light(emitter, &self.lights.courses[primary], scatter);
         let to_um = self.collection.local.to_retina.determinant().abs() * self.per_px.powi(2);
-        light * lights.photons[primary] / to_um * self.collection.total(primary)
+        light * self.lights.photons[primary] / to_um * self.collection.total(primary)
     }
 }
 

@@ -11,6 +11,7 @@
 mod collection;
 mod direct;
 mod local;
+mod scattered;
 mod verdict;
 
 use glam::DVec2;

@@ -13,7 +13,7 @@ use crate::exposure::light::{Course, Shown, courses};
 use crate::exposure::primaries::Primaries;
 use crate::exposure::scene::Scene;
 use crate::exposure::source::{Layer, Projector, Source, SourcePrimary};
-use crate::exposure::tail::Tail;
+use crate::exposure::tail::{Looks, Tail};
 use crate::exposure::{Photon, poisson};
 use crate::rng::Stream;
 
@@ -32,19 +32,25 @@ pub(super) struct More<'a> {
 
 impl Beyond {
     /// Over the cones of a tile; `None` when the window is the whole screen.
-    pub(super) fn new(scene: &Scene, primaries: &Primaries, cones: &ConeTable) -> Option<Self> {
+    pub(super) fn new(
+        scene: &Scene,
+        primaries: &Primaries,
+        cones: &ConeTable,
+        scatters: bool,
+    ) -> Option<Self> {
         let display = &primaries.projector.display;
         if scene.size_px == [display.width_px, display.height_px] {
             return None;
         }
-        Some(Self { tail: Tail::new(scene, primaries, cones)? })
+        let looks = if scatters { Looks::All } else { Looks::Few };
+        Some(Self { tail: Tail::new(scene, primaries, cones, looks)? })
     }
 
-    /// Draws a frame's photons.
+    /// Draws a frame's photons, the fraction of them that is kept.
     pub(super) fn count(
         &self,
         (shown, source): (&Shown, &Source),
-        projector: &Projector,
+        (projector, kept): (&Projector, f64),
         tables: &Tables,
         stream: &mut Stream,
         more: &mut More,
@@ -60,7 +66,7 @@ impl Beyond {
             self.tail.correct(&mut until, (shown, &dark), projector);
             let mut total = 0.0;
             let shares = until.isomerized.iter().zip(&before.isomerized).map(|(until, before)| {
-                total += (until - before).max(0.0);
+                total += kept * (until - before).max(0.0);
                 total
             });
             let shares: Vec<f64> = shares.collect();
@@ -89,8 +95,8 @@ impl Beyond {
                 list.push(lister.photon(time, (words, photon), cone as u32, &caught));
             }
         }
-        more.means.arrived += before.arrived;
-        more.means.guided += before.guided;
+        more.means.arrived += kept * before.arrived;
+        more.means.guided += kept * before.guided;
     }
 }
 

@@ -6,7 +6,8 @@
 //! cone, which counts it with probability w/W, its own share over the most. Thinning a Poisson process leaves a Poisson process, so counts
 //! have the same distribution as in `paper` and `expected`; the weights w are those of `expected` (see `spectral`).
 //!
-//! Light of the screen beyond the window is added as a Poisson number a cone ([`beyond`]).
+//! Light of the screen beyond the window is added as a Poisson number a cone ([`beyond`]); so is light scattered in the eye, and of the
+//! image's photons only those that are not scattered are drawn ([`scattered`]).
 //!
 //! Landing: place on the screen -> retina at 543 nm by a polynomial fitted to chief rays, affine inside a pixel; plus the transverse chromatic
 //! shift of the node; plus an offset from the point spread's table ([`spread`]).
@@ -24,6 +25,7 @@ mod dice;
 mod landing;
 mod list;
 mod piece;
+mod scattered;
 mod sight;
 mod spread;
 mod stage;
@@ -41,6 +43,7 @@ use super::light::Shown;
 use super::primaries::Primaries;
 use super::scene::Scene;
 use super::source::{Layer, Projector};
+use super::stray::Veil;
 use crate::experiment::Experiment;
 use crate::exposure::Photon;
 use crate::retina::ConeIndex;
@@ -49,6 +52,7 @@ use beyond::{Beyond, More};
 use landing::Landing;
 use list::{Lister, MAX_PHOTONS};
 use piece::{BLOCK, BLOCK_TANGENT, Block, GRAIN, Piece, Tally, Wave};
+use scattered::Scattered;
 use sight::Sight;
 use stage::Stage;
 use tables::Tables;
@@ -68,6 +72,9 @@ pub struct Events {
     slant: Vec<f64>,
     /// Light of the screen beyond the window.
     beyond: Option<Beyond>,
+    /// Light scattered in the eye, and the fraction that is not.
+    scattered: Option<Scattered>,
+    kept: f64,
     /// Whether counted photons are listed.
     listed: bool,
 }
@@ -109,6 +116,10 @@ impl Events {
         let slant = pixels
             .map(|pixel| super::cones::entering(law, &inputs.beams, scene.tangent(middle(pixel))))
             .collect();
+        let veil = |stray| Veil::new((experiment, inputs), primaries, cones, stray);
+        let veil = experiment.eye.stray_light.map(veil).transpose()?;
+        let kept = veil.as_ref().map_or(1.0, Veil::kept);
+        let (seed, ids) = (experiment.counts.seed, &retina.id);
         Ok(Self {
             seed: experiment.counts.seed,
             place: mixed(kernels.spec().field_um[0].x.to_bits(), kernels.spec().field_um[0].y.to_bits()),
@@ -117,7 +128,9 @@ impl Events {
             landing,
             tables,
             slant,
-            beyond: Beyond::new(scene, primaries, cones),
+            beyond: Beyond::new(scene, primaries, cones, veil.is_some()),
+            scattered: veil.map(|veil| Scattered { veil, seed, ids: ids.clone() }),
+            kept,
             listed: experiment.counts.photon_list,
         })
     }
@@ -175,7 +188,12 @@ impl Events {
             let stream = &mut Stream::new(self.seed, Purpose::Events, frame, mixed(self.place, u64::MAX));
             let list = self.listed.then_some(&mut sum.list);
             let mut more = More { counts: &mut sum.counts, means: &mut means, list };
-            beyond.count((shown, &source), projector, &self.tables, stream, &mut more);
+            beyond.count((shown, &source), (projector, self.kept), &self.tables, stream, &mut more);
+        }
+        if let Some(scattered) = &self.scattered {
+            let list = self.listed.then_some(&mut sum.list);
+            let mut more = More { counts: &mut sum.counts, means: &mut means, list };
+            scattered.count(shown, projector, &self.tables, &mut more);
         }
         means.isomerized = sum.counts.iter().map(|count| f64::from(*count)).collect();
         let list = self.listed.then(|| listed(sum.list)).transpose()?;
@@ -209,7 +227,7 @@ impl Events {
         let bounds = sight.bounds();
         let block_of_light = Block::new(pixels.filter_map(|[column, row]| {
             let pixel = row * width + column;
-            let light = layer.light[pixel] * layer.photons * self.slant[pixel];
+            let light = layer.light[pixel] * layer.photons * self.slant[pixel] * self.kept;
             let corner = DVec2::new(column as f64, row as f64);
             (light > 0.0).then(|| (light, self.landing.patch(&self.scene, corner, bounds)))
         }));

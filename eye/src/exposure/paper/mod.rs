@@ -8,9 +8,14 @@
 //!
 //! # As printed
 //! "The entry closest to, but not above the random value" of a cumulative table gives the sample; the photon lands at its centre.
+//! Scattered light (§19 throws it away) is added where an experiment asks for it: a photon that has passed the media is scattered with the
+//! probability s of `stray` and falls elsewhere, and each cone counts a Poisson number of the mean of `stray` more, which is all
+//! photons' scattered light, that from beyond the window with it. These spreads end with their window: between it and 0.5° this engine
+//! has no skirt.
 //! The printed SCE-I factor depends on the cone's own pointing only; the part common to all cones, which other engines have as
 //! an apodization, is its mean here, so that engines can be compared.
 
+mod scattered;
 pub(crate) mod spread;
 
 use glam::DVec2;
@@ -19,17 +24,20 @@ use rayon::prelude::*;
 use crate::cone::ISOMERIZATION;
 use crate::display::Emitter;
 use crate::experiment::{Experiment, PaperSettings};
+use crate::exposure::cones::ConeTable;
 use crate::exposure::inputs::Inputs;
 use crate::exposure::light::{Course, Shown, courses, courses_at, frame_light, light};
 use crate::exposure::primaries::Primaries;
 use crate::exposure::scene::Scene;
 use crate::exposure::source::Projector;
 use crate::exposure::spectral::{Absorbers, Paths};
+use crate::exposure::stray::Veil;
 use crate::optics::{BeamField, Projection};
 use crate::report::PhotonBudget;
 use crate::retina::{ConeIndex, ConeType};
 use crate::rng::{Purpose, Stream};
 use crate::spectrum::MIN_NM;
+use scattered::Scattered;
 use spread::Spread;
 
 /// Spacing of wavelengths, nm.
@@ -81,12 +89,15 @@ pub struct Paper {
     slant: Vec<f64>,
     /// Whether reflections are computed.
     reflects: bool,
+    scattered: Option<Scattered>,
 }
 
 #[derive(Clone)]
 struct Tally {
     counts: Vec<u32>,
     budget: PhotonBudget,
+    /// Photons scattered out of the image.
+    scattered: u64,
 }
 
 impl Paper {
@@ -94,7 +105,7 @@ impl Paper {
     ///
     /// # Errors
     /// When a node of the screen is not seen.
-    pub fn new(experiment: &Experiment, inputs: &Inputs) -> Result<Self, String> {
+    pub fn new(experiment: &Experiment, inputs: &Inputs, table: &ConeTable) -> Result<Self, String> {
         let Inputs { retina, projection, scene, pointing, primaries, .. } = inputs;
         let Primaries { kernels, projector } = primaries;
         let absorbers = kernels.spec().absorbers()?;
@@ -125,6 +136,9 @@ impl Paper {
         let channels: Vec<_> = projector.emitters.iter().map(cumulative_channels).collect();
         let lit = |c| projector.emitters.iter().flat_map(|e| &e.photons).any(|p| channel(p.nm) == c);
         let used: Vec<bool> = (0..CHANNELS).map(lit).collect();
+        let veil = |stray| Veil::new((experiment, inputs), primaries, table, stray);
+        let veil = experiment.eye.stray_light.map(veil).transpose()?;
+        let throughput = kernels.throughput();
         let mut paper = Self {
             settings: experiment.counts.paper,
             seed: experiment.counts.seed,
@@ -140,6 +154,7 @@ impl Paper {
             channels,
             slant: slants(projector, &inputs.beams, scene),
             reflects: experiment.eye.reflection_losses,
+            scattered: veil.map(|veil| Scattered { veil, ids: retina.id.clone(), throughput }),
         };
         let apodize = experiment.eye.stiles_crawford_rho10_per_mm2;
         let jobs: Vec<(usize, usize)> =
@@ -187,7 +202,8 @@ impl Paper {
         let chunks: Vec<(usize, usize)> = (0..projector.emitters.len())
             .flat_map(|k| (0..(width * height).div_ceil(CHUNK)).map(move |c| (k, c)))
             .collect();
-        let empty = || Tally { counts: vec![0; self.cones.len()], budget: PhotonBudget::default() };
+        let empty =
+            || Tally { counts: vec![0; self.cones.len()], budget: PhotonBudget::default(), scattered: 0 };
         // Counts and fates are whole numbers, so their sums do not depend on the order.
         let mut tally = chunks
             .par_iter()
@@ -206,8 +222,12 @@ impl Paper {
             .reduce(empty, |mut a, b| {
                 a.counts.iter_mut().zip(&b.counts).for_each(|(x, y)| *x = x.saturating_add(*y));
                 a.budget.add(&b.budget);
+                a.scattered += b.scattered;
                 a
             });
+        if let Some(scattered) = &self.scattered {
+            scattered.count((shown, projector), self, &mut tally);
+        }
         let mut emitted = 0.0;
         for (emitter, courses) in projector.emitters.iter().zip(&layers) {
             let places = (0..display.height_px).flat_map(|row| (0..display.width_px).map(move |c| [c, row]));
@@ -286,13 +306,20 @@ impl Paper {
             (0..4).for_each(|i| passed[i] += weight * node.passed[i]);
         }
         // The filters before the retina; where nothing is reflected no number is drawn.
-        let budget = &mut tally.budget;
+        let Tally { budget, scattered, .. } = tally;
         let fates = [&mut budget.reflected, &mut budget.cornea, &mut budget.lens, &mut budget.macula];
         for (i, (fate, share)) in fates.into_iter().zip(passed).enumerate() {
             if (i > 0 || self.reflects) && stream.uniform() >= share {
                 *fate += 1.0;
                 return;
             }
+        }
+        // Scattered photons fall elsewhere; no number is drawn where none are.
+        if let Some(Scattered { veil, .. }) = &self.scattered
+            && stream.uniform() >= veil.kept()
+        {
+            *scattered += 1;
+            return;
         }
         // The landing point, from the nearest node's spread.
         let near = (y + usize::from(t.y > 0.5)) * self.nodes[0] + x + usize::from(t.x > 0.5);
