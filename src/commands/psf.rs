@@ -60,7 +60,7 @@ pub fn run(context: &Context, args: &PsfArgs) -> Result<(), Failure> {
             // So many samples across give about that many inside the round pupil.
             MethodName::Fft => {
                 let across = (f64::from(args.rays) * 4.0 / std::f64::consts::PI).sqrt();
-                sampled_fft::psf(&fresh()?, &grid, across as usize)
+                sampled_fft::psf(&fresh()?, &grid, across as usize, sampled_fft::Edge::Staircase)
             }
         };
     }

@@ -19,11 +19,6 @@ impl<'a> Field<'a> {
         Self { projection, table }
     }
 
-    /// The screen and the eye.
-    pub fn projection(&self) -> &'a Projection {
-        self.projection
-    }
-
     /// Wavefronts `[wavelength]` of a field point.
     ///
     /// # Errors

@@ -114,7 +114,10 @@ fn basis_of(kind: usize) -> usize {
     usize::from(kind == ARRIVING)
 }
 
-/// Kernels of one kind, `[place][primary·sample]`.
+/// Tables of a basis, `[r][primary][sample]`.
+pub(super) type Tables = Vec<Vec<Vec<Complex64>>>;
+
+/// Kernels of one spectral mode, `[field point][primary·sample]`.
 pub(super) type PlaceKernels = Vec<Vec<Complex64>>;
 
 /// Kernels, ready for use.
@@ -127,7 +130,7 @@ pub struct Kernels {
     /// By primary, of which the tables are.
     pub(super) shares: Vec<Vec<Share>>,
     /// `[basis][r][primary][sample]`.
-    pub(super) tables: [Vec<Vec<Vec<Complex64>>>; 2],
+    pub(super) tables: [Tables; 2],
 }
 
 /// Primaries that shine together: their numbers, each with its share of their photons.
@@ -210,9 +213,7 @@ impl Kernels {
             let shares = if basis == 0 { &SHARES[..] } else { &[1.0] };
             let reduced = reduce(&old, &sets, shares, &weights, tolerance);
             for kind in own {
-                let own = |c: &Vec<f64>| {
-                    reduced.from_old.iter().map(|row| row.iter().zip(c).map(|(f, c)| f * c).sum()).collect()
-                };
+                let own = |c: &Vec<f64>| reduced.coefficients(c);
                 made.head.kinds[kind].from_basis = self.head.kinds[kind].from_basis.iter().map(own).collect();
             }
             if basis == 0 {

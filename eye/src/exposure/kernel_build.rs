@@ -8,10 +8,10 @@ use super::around::{Around, Moments};
 use super::cones::emission;
 use super::field::Field;
 use super::kernel::{
-    APERTURE_UM, ARRIVING_TOLERANCE, Head, KernelSpec, Kernels, KindBasis, MEAN_WEIGHT, PlaceKernels, SHARES,
-    TABLE_TOLERANCE, UM_PER_TANGENT,
+    APERTURE_UM, ARRIVING_TOLERANCE, Head, KernelSpec, KindBasis, Kernels, MEAN_WEIGHT, PlaceKernels, SHARES,
+    TABLE_TOLERANCE, Tables, UM_PER_TANGENT,
 };
-use super::lowrank::{add, compress, compress_together};
+use super::lowrank::{add, modes, reduce};
 use super::polar::PolarShape;
 use super::spectral::{ARRIVING, KINDS, Paths, Share};
 use super::transfer::{FieldPoint, Transfer, extent, transfer_table};
@@ -19,10 +19,12 @@ use crate::optics::Projection;
 use crate::optics::beam::nominal_mm2;
 use crate::psf::{FieldTable, Wavefront};
 
+/// Error of the spectral modes over that of the basis.
+const MODES: f64 = 0.3;
 /// Transfer tables that are made before they are added up.
 pub const BLOCK: usize = 32;
 
-/// A kernel that is being added up: of one kind, field point and eccentricity.
+/// A kernel that is being added up: of one spectral mode and field point.
 struct Place {
     field: usize,
     /// `[primary][wavelength]`.
@@ -90,26 +92,19 @@ impl KernelSpec {
         let factors: Vec<f64> = jobs.iter().map(entering).collect();
         let media = self.absorbers()?.media;
         let paths: Vec<Paths> = jobs.iter().map(|(_, w)| Paths::new(w, &media)).collect();
-        let (kernels, throughput) = self.kernels_by_place(&jobs, &factors, &paths, shape)?;
+        // What cones do with the wavelengths is a mixture of few modes; each has a kernel for sources at every point.
+        let (mixtures, modes) = self.modes(points.len(), &paths)?;
+        let (kernels, throughput) = self.kernels_by_mode(&jobs, &factors, &modes, shape);
         let kernels = self.collected(&projection, &points, &kernels, shape)?;
-        let weights = basis_weights(shape, self.primaries.len());
-        let (counted, arriving) = kernels.split_at(ARRIVING);
-        let shared = compress_together(counted, &SHARES, &weights, self.tolerance);
-        // Arriving photons enter the budget only, where places average out: a coarser basis will do.
-        let arriving = compress(&arriving[0], &weights, ARRIVING_TOLERANCE * self.tolerance);
-        let samples = shape.len();
-        let split = |kernel: &Vec<Complex64>| kernel.chunks(samples).map(<[Complex64]>::to_vec).collect();
-        let tables = [&shared.kernels, &arriving.kernels].map(|kernels| kernels.iter().map(split).collect());
-        let ranks = [shared.kernels.len(), arriving.kernels.len()];
-        let kinds = shared.coefficients.into_iter().chain([arriving.coefficients]);
-        let kinds = kinds.map(|from_basis| KindBasis { from_basis }).collect();
+        let (kinds, tables, basis_error) = self.basis(kernels, &mixtures, points.len(), shape);
+        let ranks = [tables[0].len(), tables[1].len()];
         Ok(Kernels {
             head: Head {
                 spec: self.clone(),
                 shape,
                 kinds,
                 ranks,
-                basis_error: shared.error,
+                basis_error,
                 throughput,
                 paths: self.mean_paths(&paths),
             },
@@ -120,7 +115,7 @@ impl KernelSpec {
         })
     }
 
-    /// What cones at the points of the field collect, `[kind][place]`, from the kernels of sources at these points.
+    /// What cones at the points of the field collect, `[mode][field point]`, from the kernels of sources at these points.
     fn collected(
         &self,
         projection: &Projection,
@@ -131,17 +126,12 @@ impl KernelSpec {
         let (moments, nodes) = (Moments::new(shape), self.field());
         let around = |point: &FieldPoint| Around::new(projection, &nodes, point);
         let arounds: Vec<Around> = points.par_iter().map(around).collect::<Result<_, _>>()?;
-        let steps = self.ecc_values().len();
-        let of_place = |(kind, place): (usize, usize)| {
-            let (own, step) = (place / steps, place % steps);
-            let of_sources: Vec<&[Complex64]> =
-                (0..points.len()).map(|f| kernels[kind][f * steps + step].as_slice()).collect();
-            arounds[own].collected(&moments, &of_sources, own)
+        let of_mode = |kernels: &PlaceKernels| {
+            let of_sources: Vec<&[Complex64]> = kernels.iter().map(Vec::as_slice).collect();
+            let place = |own: usize| arounds[own].collected(&moments, &of_sources, own);
+            (0..points.len()).into_par_iter().map(place).collect()
         };
-        let of_kind = |kind: usize| {
-            (0..kernels[kind].len()).into_par_iter().map(move |place| of_place((kind, place))).collect()
-        };
-        Ok((0..kernels.len()).map(of_kind).collect())
+        Ok(kernels.iter().map(of_mode).collect())
     }
 
     /// Means over the field nodes, `[wavelength]`, of paths `[field node][wavelength]`.
@@ -178,36 +168,48 @@ impl KernelSpec {
         Ok(PolarShape::for_cycles(self.band, cycles, TABLE_TOLERANCE * self.tolerance))
     }
 
-    /// By kind, and the mean throughput. Transfer tables of `jobs` (`[field][wavelength]`) are made a few at a time
-    /// and added up: all of them would be the most of the memory.
-    fn kernels_by_place(
-        &self,
-        jobs: &[(&FieldPoint, &Wavefront)],
-        factors: &[f64],
-        paths: &[Paths],
-        shape: PolarShape,
-    ) -> Result<(Vec<PlaceKernels>, f64), String> {
+    /// Spectral modes: how each kind of cone at each eccentricity weighs wavelengths is `Σ_s mixture[kind, ecc][s] mode_s`, a mode
+    /// being weights `[field point][primary][wavelength]`, one after the other.
+    fn modes(&self, points: usize, paths: &[Paths]) -> Result<(Vec<Vec<f64>>, Vec<Vec<f64>>), String> {
         let absorbers = self.absorbers()?;
         let kinks_nm = self.prescription.kinks_nm(self.state.dispersion);
         let nodes = (self.nodes_nm.as_slice(), kinks_nm.as_slice());
         let shares = self.shares();
-        let eccentricities = self.ecc_values();
-        let waves = self.nodes_nm.len().max(1);
-        let fields = jobs.len() / waves;
-        let mut places: Vec<Place> = (0..KINDS.len())
-            .flat_map(|kind| (0..fields).map(move |field| (kind, field)))
-            .flat_map(|(kind, field)| eccentricities.iter().map(move |&ecc_deg| (kind, field, ecc_deg)))
-            .collect::<Vec<_>>()
-            .into_par_iter()
-            .map(|(kind, field, ecc_deg)| {
-                let along = &paths[field * waves..(field + 1) * waves];
-                let weights = |primary: &Vec<Share>| {
-                    absorbers.smooth_weights(primary, nodes, KINDS[kind], ecc_deg, along)
-                };
-                let kernel = vec![Complex64::ZERO; shares.len() * shape.len()];
-                Place { field, weights: shares.iter().map(weights).collect(), kernel }
-            })
+        let waves = self.nodes_nm.len();
+        let rows: Vec<(usize, f64)> = (0..KINDS.len())
+            .flat_map(|kind| self.ecc_values().into_iter().map(move |ecc_deg| (kind, ecc_deg)))
             .collect();
+        let of_row = |&(kind, ecc_deg): &(usize, f64)| -> Vec<f64> {
+            let of_point = |point: usize| {
+                let along = &paths[point * waves..(point + 1) * waves];
+                let of_primary =
+                    |s: &Vec<Share>| absorbers.smooth_weights(s, nodes, KINDS[kind], ecc_deg, along);
+                shares.iter().flat_map(of_primary).collect::<Vec<f64>>()
+            };
+            (0..points).flat_map(of_point).collect()
+        };
+        let rows: Vec<Vec<f64>> = rows.par_iter().map(of_row).collect();
+        Ok(modes(&rows, MODES * self.tolerance))
+    }
+
+    /// `[mode][field point]`, and the mean throughput. Transfer tables of `jobs` (`[field point][wavelength]`) are made a few at a
+    /// time and added up: all of them would be the most of the memory.
+    fn kernels_by_mode(
+        &self,
+        jobs: &[(&FieldPoint, &Wavefront)],
+        factors: &[f64],
+        modes: &[Vec<f64>],
+        shape: PolarShape,
+    ) -> (Vec<PlaceKernels>, f64) {
+        let (waves, primaries) = (self.nodes_nm.len().max(1), self.primaries.len());
+        let points = jobs.len() / waves;
+        let place = |(mode, field): (&Vec<f64>, usize)| {
+            let own = &mode[field * primaries * waves..(field + 1) * primaries * waves];
+            let weights = own.chunks_exact(waves).map(<[f64]>::to_vec).collect();
+            Place { field, weights, kernel: vec![Complex64::ZERO; primaries * shape.len()] }
+        };
+        let mut places: Vec<Place> =
+            modes.iter().flat_map(|mode| (0..points).map(move |field| (mode, field))).map(place).collect();
         let mut throughput = 0.0;
         for (block, (jobs, factors)) in jobs.chunks(BLOCK).zip(factors.chunks(BLOCK)).enumerate() {
             let transfers: Vec<Transfer> = jobs
@@ -218,11 +220,50 @@ impl KernelSpec {
             throughput += transfers.iter().map(|t| t.throughput).sum::<f64>();
             places.par_iter_mut().for_each(|place| place.add(block * BLOCK, &transfers, waves));
         }
-        let per_kind = (fields * eccentricities.len()).max(1);
-        let kernels: Vec<Vec<Complex64>> = places.into_iter().map(|place| place.kernel).collect();
-        let mut kernels = kernels.into_iter();
-        let by_kind = (0..KINDS.len()).map(|_| kernels.by_ref().take(per_kind).collect()).collect();
-        Ok((by_kind, throughput / jobs.len().max(1) as f64))
+        let mut kernels = places.into_iter().map(|place| place.kernel);
+        let by_mode = (0..modes.len()).map(|_| kernels.by_ref().take(points).collect()).collect();
+        (by_mode, throughput / jobs.len().max(1) as f64)
+    }
+
+    /// The low-rank basis of `kernels[mode][field point]`: by kind the coefficients of each place, the tables of counts and of
+    /// arriving photons, and the error of the former.
+    fn basis(
+        &self,
+        kernels: Vec<PlaceKernels>,
+        mixtures: &[Vec<f64>],
+        points: usize,
+        shape: PolarShape,
+    ) -> (Vec<KindBasis>, [Tables; 2], f64) {
+        let weights = basis_weights(shape, self.primaries.len());
+        let steps = self.ecc_values().len();
+        let modes = kernels.len();
+        let kernels: Vec<Vec<Complex64>> = kernels.into_iter().flatten().collect();
+        // A place (field point, eccentricity) has its mixture of the modes' kernels at its own point.
+        let of_kind = |kind: usize| -> Vec<Vec<f64>> {
+            let place = |place: usize| {
+                let (field, mixture) = (place / steps, &mixtures[kind * steps + place % steps]);
+                let mut own = vec![0.0; modes * points];
+                mixture.iter().enumerate().for_each(|(mode, part)| own[mode * points + field] = *part);
+                own
+            };
+            (0..points * steps).map(place).collect()
+        };
+        let by_kind: Vec<Vec<Vec<f64>>> = (0..KINDS.len()).map(of_kind).collect();
+        let sets: Vec<&[Vec<f64>]> = by_kind.iter().map(Vec::as_slice).collect();
+        let counted = reduce(&kernels, &sets[..ARRIVING], &SHARES, &weights, self.tolerance);
+        // Arriving photons enter the budget only, where places average out: a coarser basis will do.
+        let tolerance = ARRIVING_TOLERANCE * self.tolerance;
+        let arriving = reduce(&kernels, &sets[ARRIVING..], &[1.0], &weights, tolerance);
+        let basis_of = |kind: usize| if kind == ARRIVING { &arriving } else { &counted };
+        let kinds = by_kind.iter().enumerate().map(|(kind, places)| {
+            let from_basis = places.iter().map(|own| basis_of(kind).coefficients(own)).collect();
+            KindBasis { from_basis }
+        });
+        let kinds = kinds.collect();
+        let error = counted.error;
+        let split = |kernel: &Vec<Complex64>| kernel.chunks(shape.len()).map(<[Complex64]>::to_vec).collect();
+        let tables = [&counted, &arriving].map(|basis| basis.kernels.iter().map(split).collect());
+        (kinds, tables, error)
     }
 }
 

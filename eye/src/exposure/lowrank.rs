@@ -1,51 +1,13 @@
 //! Fewest kernels that span a set of similar ones.
 //!
 //! The kernel that a cone sees depends on where it is: on the field (aberrations) and on the eccentricity (macula, pigment). Over a
-//! patch these kernels K_a are nearly dependent. With the Gram matrix `G_ab = Σ w Re(K_a* K_b)` and its eigenvectors U,
-//! `K_a ≈ Σ_r U_ar B_r`, `B_r = Σ_a U_ar K_a`, and the dropped eigenvalues are the squared error: the best basis of its size.
-//!
-//! Several sets (the types of cones) share one basis: each is compressed alone, finer than asked, and the few kernels that are left,
-//! the squares of each set at its share of the cones, are compressed together. What L, M and S cones see differs little more than in their weights of the
-//! primaries: 12 images instead of 18 on the scene of Figure 12 at 0.1 %, and those of one of them for light of one wavelength.
+//! patch these kernels are nearly dependent. What cones of all types and eccentricities do with the wavelengths is a mixture of a
+//! few spectral modes ([`modes`]); each mode has a kernel at every point of the field, and of these the principal directions
+//! under a norm are the smallest basis for all places and types ([`reduce`]): the dropped eigenvalues are the squared error.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
-
-/// A basis for a set of kernels.
-#[derive(Clone, Debug)]
-pub struct Basis {
-    /// `[a][r]`: kernel a from basis kernel r.
-    pub coefficients: Vec<Vec<f64>>,
-    /// `[r][sample]`.
-    pub kernels: Vec<Vec<Complex64>>,
-    /// Root of the dropped share of the weighted squares.
-    pub error: f64,
-}
-
-/// Compresses kernels `[a][sample]` under sample weights to a relative root-mean-square error of at most `tolerance`, which
-/// makes sense down to about 1e-7 (eigenvalues are squares).
-pub fn compress(kernels: &[Vec<Complex64>], weights: &[f64], tolerance: f64) -> Basis {
-    let n = kernels.len();
-    let mut gram = vec![vec![0.0; n]; n];
-    for a in 0..n {
-        for b in a..n {
-            gram[a][b] = dot(&kernels[a], &kernels[b], weights);
-            gram[b][a] = gram[a][b];
-        }
-    }
-    let (values, vectors) = symmetric_eigen(gram);
-    let (order, error) = largest_first(&values, tolerance);
-    let samples = kernels.first().map_or(0, Vec::len);
-    let mut basis = vec![vec![Complex64::ZERO; samples]; order.len()];
-    for (kernel, &column) in basis.iter_mut().zip(&order) {
-        for (a, source) in kernels.iter().enumerate() {
-            add(kernel, source, vectors[a][column]);
-        }
-    }
-    let coefficients = (0..n).map(|a| order.iter().map(|&column| vectors[a][column]).collect()).collect();
-    Basis { coefficients, kernels: basis, error }
-}
 
 /// Sums that are kept side by side.
 const LANES: usize = 8;
@@ -75,60 +37,31 @@ pub fn add(to: &mut [Complex64], kernel: &[Complex64], factor: f64) {
     }
 }
 
-/// Error of a set alone over that of the sets together.
-const ALONE: f64 = 0.2;
-/// A set whose norm is smaller than this share of the largest one counts as if it had that norm: what it adds is not seen.
+/// A set whose norm is smaller than this fraction of the largest one counts as if it had that norm: what it adds is not seen.
 const FAINT: f64 = 1e-3;
-/// A direction with less than this share of the largest square is a rounding error.
+/// A direction with less than this fraction of the largest square is a rounding error.
 const DEPENDENT: f64 = 1e-13;
 
-/// One basis for several sets of kernels `[set][a][sample]`: `coefficients[set][a][r]`.
-#[derive(Clone, Debug)]
-pub struct SharedBasis {
-    /// `[set][a][r]`.
-    pub coefficients: Vec<Vec<Vec<f64>>>,
-    /// `[r][sample]`.
-    pub kernels: Vec<Vec<Complex64>>,
-    /// Root of the dropped share of the weighted squares, each set's by its share.
-    pub error: f64,
-}
-
-/// As [`compress`] for several sets together; `tolerance` is relative to each set's own norm, and the squares of the sets' errors count by their
-/// `shares`.
-pub fn compress_together(
-    sets: &[Vec<Vec<Complex64>>],
-    shares: &[f64],
-    weights: &[f64],
-    tolerance: f64,
-) -> SharedBasis {
-    let alone: Vec<Basis> = sets.par_iter().map(|set| compress(set, weights, ALONE * tolerance)).collect();
-    let square =
-        |kernel: &Vec<Complex64>| kernel.iter().zip(weights).map(|(z, w)| w * z.norm_sqr()).sum::<f64>();
-    let norms: Vec<f64> = alone.iter().map(|b| b.kernels.iter().map(square).sum::<f64>().sqrt()).collect();
+/// Few rows of numbers of which many are mixtures: `rows[a] ≈ Σ_s mixture[a][s] mode[s]`, with a relative error of at most about
+/// `tolerance` of each row's own norm (faint rows: of a thousandth of the largest).
+pub fn modes(rows: &[Vec<f64>], tolerance: f64) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let norms: Vec<f64> = rows.iter().map(|row| product(row, row).sqrt()).collect();
     let least = (FAINT * norms.iter().copied().fold(0.0, f64::max)).max(f64::MIN_POSITIVE);
-    let norms: Vec<f64> =
-        norms.into_iter().zip(shares).map(|(norm, share)| norm.max(least) / share.sqrt()).collect();
-    let scaled: Vec<Vec<Complex64>> = alone
-        .iter()
-        .zip(&norms)
-        .flat_map(|(b, norm)| b.kernels.iter().map(move |kernel| kernel.iter().map(|z| z / norm).collect()))
-        .collect();
-    let together = compress(&scaled, weights, tolerance);
-    let mut rows = together.coefficients.iter();
-    let coefficients = alone.iter().zip(&norms).map(|(own, norm)| {
-        let rows: Vec<&Vec<f64>> = rows.by_ref().take(own.kernels.len()).collect();
-        let of_kernel = |own: &Vec<f64>| {
-            let of = |r: usize| norm * own.iter().zip(&rows).map(|(c, row)| c * row[r]).sum::<f64>();
-            (0..together.kernels.len()).map(of).collect()
-        };
-        own.coefficients.iter().map(of_kernel).collect()
-    });
-    let alone_error = alone.iter().map(|b| b.error).fold(0.0, f64::max);
-    SharedBasis {
-        coefficients: coefficients.collect(),
-        error: together.error.hypot(alone_error),
-        kernels: together.kernels,
-    }
+    let norms: Vec<f64> = norms.into_iter().map(|norm| norm.max(least)).collect();
+    let n = rows.len();
+    let gram = |a: usize| (0..n).map(|b| product(&rows[a], &rows[b]) / (norms[a] * norms[b])).collect();
+    let (values, vectors) = symmetric_eigen((0..n).map(gram).collect());
+    let (order, _) = largest_first(&values, tolerance);
+    let mode = |&column: &usize| {
+        let mut sum = vec![0.0; rows.first().map_or(0, Vec::len)];
+        for ((row, norm), part) in rows.iter().zip(&norms).zip(&vectors) {
+            sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += part[column] / norm * value);
+        }
+        sum
+    };
+    let mixture = |a: usize| order.iter().map(|&column| norms[a] * vectors[a][column]).collect();
+    ((0..n).map(mixture).collect(), order.iter().map(mode).collect())
 }
 
 /// Fewer kernels for those that are mixtures of others.
@@ -138,12 +71,20 @@ pub struct Reduced {
     pub kernels: Vec<Vec<Complex64>>,
     /// `[r][old]`: a mixture's coefficient of kernel r from its old ones.
     pub from_old: Vec<Vec<f64>>,
-    /// As [`SharedBasis::error`], of this step alone.
+    /// Root of the dropped fraction of the weighted squares, each set's by its share.
     pub error: f64,
 }
 
-/// Kernels of a smaller basis than `kernels[old][sample]` for the mixtures `sets[set][a][old]` of them; shares and tolerance as in
-/// [`compress_together`]. With the Gram matrix of the kernels `G = W Wᵀ` the mixtures c are vectors Wᵀc of the same lengths and angles: their
+impl Reduced {
+    /// Coefficients of a mixture of the old kernels.
+    pub fn coefficients(&self, mixture: &[f64]) -> Vec<f64> {
+        self.from_old.iter().map(|row| row.iter().zip(mixture).map(|(f, c)| f * c).sum()).collect()
+    }
+}
+
+/// Kernels of a smaller basis than `kernels[old][sample]` for the mixtures `sets[set][a][old]` of them, with a relative
+/// root-mean-square error of at most `tolerance` of each set's own norm under the sample weights; the squares of the sets' errors
+/// count by their `shares`. With the Gram matrix of the kernels `G = W Wᵀ` the mixtures c are vectors Wᵀc of the same lengths and angles: their
 /// principal directions are found among as many numbers as there are kernels, whatever the number of mixtures and samples.
 pub fn reduce(
     kernels: &[Vec<Complex64>],
@@ -153,8 +94,11 @@ pub fn reduce(
     tolerance: f64,
 ) -> Reduced {
     let n = kernels.len();
-    let gram: Vec<Vec<f64>> =
-        (0..n).map(|a| (0..n).map(|b| dot(&kernels[a], &kernels[b], weights)).collect()).collect();
+    let above: Vec<Vec<f64>> = (0..n)
+        .into_par_iter()
+        .map(|a| (a..n).map(|b| dot(&kernels[a], &kernels[b], weights)).collect())
+        .collect();
+    let gram = (0..n).map(|a| (0..n).map(|b| above[a.min(b)][a.max(b) - a.min(b)]).collect()).collect();
     let (values, vectors) = symmetric_eigen(gram);
     let largest = values.iter().copied().fold(0.0, f64::max);
     let kept: Vec<usize> = (0..n).filter(|&i| values[i] > DEPENDENT * largest).collect();
@@ -255,22 +199,22 @@ fn rotate(a: &mut [Vec<f64>], v: &mut [Vec<f64>], p: usize, q: usize) {
 mod tests {
     use super::*;
 
+    /// Twelve rows from three independent ones, of norms that differ by 1e4.
     #[test]
-    fn dependent_kernels_need_few() {
-        // Twelve kernels from three independent ones.
-        let source =
-            |r: usize, i: usize| Complex64::new(((i * (r + 1)) as f64 * 0.1).cos(), (r * i) as f64 * 0.01);
-        let kernels: Vec<Vec<Complex64>> = (0..12)
-            .map(|a| {
-                (0..200).map(|i| (0..3).map(|r| source(r, i) * ((a * (r + 2)) as f64).sin()).sum()).collect()
-            })
-            .collect();
-        let basis = compress(&kernels, &[1.0; 200], 1e-6);
-        assert_eq!(basis.kernels.len(), 3);
-        for (a, kernel) in kernels.iter().enumerate() {
-            for (i, exact) in kernel.iter().enumerate() {
-                let made: Complex64 = (0..3).map(|r| basis.kernels[r][i] * basis.coefficients[a][r]).sum();
-                assert!((made - exact).norm() < 1e-5);
+    fn dependent_rows_have_few_modes() {
+        let source = |r: usize, i: usize| ((i * (r + 1)) as f64 * 0.1).cos();
+        let scale = |a: usize| if a < 6 { 1.0 } else { 1e-4 };
+        let row = |a: usize| -> Vec<f64> {
+            let at = |i| (0..3).map(|r| source(r, i) * ((a * (r + 2) + 1) as f64).sin() * scale(a)).sum();
+            (0..200).map(at).collect()
+        };
+        let rows: Vec<Vec<f64>> = (0..12).map(row).collect();
+        let (mixtures, modes) = modes(&rows, 1e-6);
+        assert_eq!(modes.len(), 3);
+        for (row, mixture) in rows.iter().zip(&mixtures) {
+            for (i, exact) in row.iter().enumerate() {
+                let made: f64 = mixture.iter().zip(&modes).map(|(part, mode)| part * mode[i]).sum();
+                assert!((made - exact).abs() < 1e-8, "{made} {exact}");
             }
         }
     }
@@ -304,32 +248,6 @@ mod tests {
                 let exact: Complex64 = old.iter().zip(c).map(|(k, c)| k[i] * *c).sum();
                 let reduced: Complex64 = made.kernels.iter().zip(&own).map(|(k, c)| k[i] * *c).sum();
                 assert!((exact - reduced).norm() < 1e-5 * scale);
-            }
-        }
-    }
-
-    /// Three sets of the same four kernels in other mixtures and at norms that differ by 1e4 and 1e9.
-    #[test]
-    fn sets_share_a_basis() {
-        let source =
-            |r: usize, i: usize| Complex64::new(((i * (r + 1)) as f64 * 0.1).cos(), (r * i) as f64 * 0.01);
-        let kernel = |set: usize, a: usize| -> Vec<Complex64> {
-            let factor = [1.0, 1e-2, 1e-7][set];
-            let mixed = |i| (0..4).map(|r| source(r, i) * ((a * (r + 2) + set) as f64).sin() * factor).sum();
-            (0..200).map(mixed).collect()
-        };
-        let sets: Vec<Vec<Vec<Complex64>>> =
-            (0..3).map(|set| (0..9).map(|a| kernel(set, a)).collect()).collect();
-        let basis = compress_together(&sets, &[0.5, 0.3, 0.2], &[1.0; 200], 1e-6);
-        assert_eq!(basis.kernels.len(), 4);
-        for (set, own) in sets.iter().enumerate() {
-            // The last set is fainter than what is seen.
-            let scale = [1.0, 1e-2, 1e-3][set];
-            for (kernel, c) in own.iter().zip(&basis.coefficients[set]) {
-                for (i, exact) in kernel.iter().enumerate() {
-                    let made: Complex64 = (0..4).map(|r| basis.kernels[r][i] * c[r]).sum();
-                    assert!((made - exact).norm() < 1e-4 * scale, "{set} {}", (made - exact).norm());
-                }
             }
         }
     }

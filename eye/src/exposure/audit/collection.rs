@@ -22,6 +22,7 @@ use super::local::{Local, Stencil};
 use crate::display::{EmissionLaw, Emitter};
 use crate::optics::beam::nominal_mm2;
 use crate::optics::{BeamField, Projection};
+use crate::psf::sampled_fft::{Edge, psf as fast};
 use crate::psf::{GridAxes, PsfGrid, Wavefront, WavefrontOptions, psf};
 
 /// Window: at least so many µm each way, so many times the geometric spot and so many widths of the diffraction pattern.
@@ -32,9 +33,14 @@ const WIDTHS: f64 = 12.0;
 const FINER: f64 = 2.5;
 const SHORT: f64 = 0.15;
 /// Most samples across the window.
-const MOST_SAMPLES: usize = 768;
+const MOST_SAMPLES: usize = 2048;
+/// Samples from which a PSF comes from a fast transform of so many points across the pupil, at least.
+const FAST_FROM: usize = 448;
+const ACROSS: usize = 512;
 /// Points of a polynomial on either side.
 const REACH: usize = 3;
+/// Samples beyond the offsets asked for that are read: polynomials, and the bend of the image between corners.
+const BESIDE: f64 = 8.0;
 
 /// What is the same for all cones.
 pub struct Optics<'a> {
@@ -111,8 +117,7 @@ impl Collection {
         };
         let spreads = weigh(&own, optics.step_nm);
         // Source points beside it, at every second wavelength: what is different there.
-        let spot = waves.iter().map(spot_radius_um).fold(0.0, f64::max);
-        let stencil = Stencil::new(spot / local.um_per_tangent());
+        let stencil = Stencil::new(usual_spot_um(&waves) / local.um_per_tangent());
         let coarse = own.every_second(optics.step_nm);
         let coarse_step = 2.0 * optics.step_nm;
         let base = weigh(&coarse, coarse_step);
@@ -146,9 +151,10 @@ impl Collection {
         self.spreads[primary].total
     }
 
-    /// The same integrated over an aperture: points about its centre (µm) with areas (µm²).
+    /// The same integrated over an aperture: points about its centre (µm) with areas (µm²); where it is read later, offsets of
+    /// sources on the screen (unit tangents) within two corners.
     #[must_use]
-    pub fn over(mut self, aperture: &[(DVec2, f64)]) -> Self {
+    pub fn over(mut self, aperture: &[(DVec2, f64)], [from, to]: [DVec2; 2]) -> Self {
         let (samples, pitch) = (self.grid.samples, self.grid.pitch_um());
         let most = aperture.iter().map(|(p, _)| p.abs().max_element()).fold(0.0, f64::max);
         let half = (most / pitch).ceil() as usize + REACH;
@@ -168,13 +174,25 @@ impl Collection {
             }
         }
         let area: f64 = aperture.iter().map(|a| a.1).sum();
+        // Samples that are read: those of the PSF at the offsets asked for, and as many around as polynomials reach.
+        let corners = [from, to, DVec2::new(from.x, to.y), DVec2::new(to.x, from.y)];
+        let images = corners.map(|corner| -self.local.image_um(corner));
+        let range = |axis: usize| {
+            let place = |um: f64| um / pitch + 0.5 * samples as f64;
+            let low = images.iter().map(|p| place(p[axis])).fold(f64::MAX, f64::min) - BESIDE;
+            let high = images.iter().map(|p| place(p[axis])).fold(f64::MIN, f64::max) + BESIDE;
+            let last = samples.saturating_sub(half).max(half);
+            let first = (low.max(0.0) as usize).clamp(half, last);
+            first..(high.max(0.0) as usize).clamp(first, last)
+        };
+        let (rows, columns) = (range(0), range(1));
         for spread in self.spreads.iter_mut().chain(self.beside.iter_mut().flatten()) {
             let mut sums = vec![0.0; samples * samples];
-            for i in half..samples.saturating_sub(half) {
+            for i in rows.clone() {
                 for (di, taps) in stencil.chunks_exact(side).enumerate() {
                     let row = &spread.values[(i + di - half) * samples..][..samples];
-                    let line = &mut sums[i * samples..][half..samples - half];
-                    for (j, sum) in line.iter_mut().enumerate() {
+                    let line = &mut sums[i * samples..][columns.clone()];
+                    for (j, sum) in (columns.start - half..).zip(line) {
                         *sum += taps.iter().zip(&row[j..j + side]).map(|(t, v)| t * v).sum::<f64>();
                     }
                 }
@@ -278,7 +296,10 @@ impl Optics<'_> {
             // The window stands about the image at the reference wavelength; the PSF of this one lies beside.
             let shift = to_tangents * (w.landing_um - point.landing_um);
             let scale = w.pupil_area_mm2 / beam_mm2 * w.density_per_um2();
-            psf(w, &PsfGrid { centre_um: -shift, ..grid }).into_iter().map(|v| v * scale).collect()
+            let grid = PsfGrid { centre_um: -shift, ..grid };
+            let image =
+                if grid.samples > FAST_FROM { fast(w, &grid, ACROSS, Edge::Covered) } else { psf(w, &grid) };
+            image.into_iter().map(|v| v * scale).collect()
         };
         Images {
             nodes_nm: waves.iter().map(|w| w.wavelength_nm).collect(),
@@ -321,17 +342,20 @@ impl Optics<'_> {
     }
 }
 
-/// The window that holds all wavelengths' spreads.
+/// Radius of the geometric spot, µm. Wavelengths rise; the ends of the spectrum are far out of focus and give little.
+fn usual_spot_um(waves: &[Wavefront]) -> f64 {
+    let at = |part: f64| &waves[(part * (waves.len() - 1) as f64).round() as usize];
+    [SHORT, 0.5, 1.0 - SHORT].map(|part| spot_radius_um(at(part))).into_iter().fold(0.0, f64::max)
+}
+
+/// The window that holds all wavelengths' PSFs.
 fn window(waves: &[Wavefront]) -> PsfGrid {
     let width = |w: &Wavefront| {
         let radius = w.axes.x_axis.length().max(w.axes.y_axis.length());
         w.wavelength_um() / (2.0 * radius)
     };
-    // Wavelengths rise.
     let at = |part: f64| &waves[(part * (waves.len() - 1) as f64).round() as usize];
-    // The ends of the spectrum are far out of focus and give little.
-    let spot = spot_radius_um(at(SHORT)).max(spot_radius_um(at(1.0 - SHORT))).max(spot_radius_um(at(0.5)));
-    let half = (SPOTS * spot + WIDTHS * width(at(0.5))).max(LEAST_UM);
+    let half = (SPOTS * usual_spot_um(waves) + WIDTHS * width(at(0.5))).max(LEAST_UM);
     let pitch = 0.5 * width(at(SHORT)) / FINER;
     let samples = ((2.0 * half / pitch).ceil() as usize).clamp(8 * REACH, MOST_SAMPLES);
     let half_width_um = half.min(0.5 * pitch * samples as f64);

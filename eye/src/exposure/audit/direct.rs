@@ -109,15 +109,11 @@ pub fn mean(
         corners.push(collection.local.image_um(corner - tangent));
     }
     let aperture = aperture(&corners, 0.5 * collection.period_um());
-    let sum = Sum {
-        projector,
-        shown,
-        lights,
-        collection: collection.over(&aperture),
-        per_px: display.pixel_pitch_cm / display.distance_cm,
-        centre_px: DVec2::from_array(experiment.gaze.center_px)
-            + flip(tangent) * display.distance_cm / display.pixel_pitch_cm,
-    };
+    let per_px = display.pixel_pitch_cm / display.distance_cm;
+    let centre_px = DVec2::from_array(experiment.gaze.center_px) + flip(tangent) / per_px;
+    let mut sum = Sum { projector, shown, lights, collection, per_px, centre_px };
+    let lit = sum.lit_offsets();
+    sum.collection = sum.collection.over(&aperture, lit);
     let mut mean: f64 = (0..projector.emitters.len()).map(|primary| sum.primary(primary)).sum();
     if let Some(stray) = experiment.eye.stray_light {
         let scatter = Scatter::new(experiment, stray)?;
@@ -186,6 +182,7 @@ impl Sum<'_> {
         let corner = DVec2::new(f64::from(at[0]), f64::from(at[1]));
         // From afar only the mean over several periods matters.
         let far = (corner + 0.5 - self.lights.sight[primary] - self.centre_px).length()
+            - std::f64::consts::FRAC_1_SQRT_2
             - self.longest_path(primary);
         let follow = if far * self.px_um() > CORE_UM { AFAR * period_px } else { period_px };
         let points = pixel_nodes(emitter, follow);
@@ -215,6 +212,27 @@ impl Sum<'_> {
     /// Share of the photons from a point of the display, as the eye at rest would see it, that the cone counts.
     fn collected(&self, primary: usize, seen_px: DVec2) -> f64 {
         self.collection.at(primary, flip((seen_px - self.centre_px) * self.per_px))
+    }
+
+    /// Corners of the rectangle of offsets (unit tangents) of all lit pixels from the cone, however the line of sight moves.
+    fn lit_offsets(&self) -> [DVec2; 2] {
+        let (mut low, mut high) = (DVec2::MAX, DVec2::MIN);
+        for (primary, sums) in self.lights.sums.iter().enumerate() {
+            let block = f64::from(self.lights.block_px);
+            // A pixel of room for misregistered rectangles and spots.
+            let around = self.longest_path(primary) + 2.0 + SPOT * self.projector.emitters[primary].spot_sd_px;
+            for (index, _) in sums.iter().enumerate().filter(|(_, light)| **light > 0.0) {
+                let columns = self.lights.columns as usize;
+                let first = DVec2::new((index % columns) as f64, (index / columns) as f64) * block;
+                let seen = first - self.lights.sight[primary] - self.centre_px;
+                (low, high) = (low.min(seen - around), high.max(seen + block + around));
+            }
+        }
+        if low.x > high.x {
+            return [DVec2::ZERO; 2];
+        }
+        let (a, b) = (flip(low * self.per_px), flip(high * self.per_px));
+        [a.min(b), a.max(b)]
     }
 
     /// A pixel pitch on the retina, the shorter way, µm.

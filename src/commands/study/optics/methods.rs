@@ -136,7 +136,7 @@ impl Case {
             }
             Way::Fft(across) => {
                 let w = Wavefront::new(eye, object, NM, &options).map_err(failed)?;
-                Ok(sampled_fft::psf(&w, grid, across))
+                Ok(sampled_fft::psf(&w, grid, across, sampled_fft::Edge::Staircase))
             }
             Way::Fit(degree) => {
                 let options = WavefrontOptions { degree: Some(degree), ..options };
