@@ -54,7 +54,7 @@ fn a_missed_target_is_said_wherever_one_looks() {
     );
     assert!(found["audit"]["lower_bound_95"].as_f64().unwrap() > 1e-4, "{}", found["audit"]);
     let line = format!("warning: {text}");
-    assert_eq!(warnings, [line.clone()]);
+    assert_eq!(warnings, std::slice::from_ref(&line));
     assert!(summary.contains(&format!("Warning       {text}")), "{summary}");
     for name in ["0000.png", "0001.png", "mean.png"] {
         assert_eq!(texts_of(&out.join("frames").join(name)), [text], "{name}");
@@ -73,10 +73,10 @@ fn a_missed_target_is_said_wherever_one_looks() {
     assert!(coarse.contains("succeeded!") && coarse.ends_with(&line), "{coarse}");
     assert!(plain.contains("succeeded  ") && !plain.contains("warning"), "{plain}");
     let id = coarse.split(' ').next().unwrap();
-    assert_eq!(ask(&["watch", id]).1, [line.clone()]);
+    assert_eq!(ask(&["watch", id]).1, std::slice::from_ref(&line));
     let (events, warnings) = ask(&["watch", id, "--json"]);
     assert!(events.contains(text), "{events}");
-    assert_eq!(warnings, [line.clone()]);
+    assert_eq!(warnings, std::slice::from_ref(&line));
     assert_eq!(ask(&["results", id, "--out", "fetched"]).1, [line]);
     assert_eq!(texts_of(&place.path().join("fetched/frames/0000.png")), [text]);
 }
