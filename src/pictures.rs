@@ -39,22 +39,36 @@ pub fn draw(folder: &Path, args: PictureArgs) -> Result<usize, Failure> {
     fs::create_dir_all(&frames).map_err(|e| Failure::file("make", &frames, &e))?;
     let shapes = shapes(&cones);
     let view = View::new(&shapes, args.picture_px).map_err(Failure::usage)?;
-    let mut mean = Mean::new(folder, &cones, &shapes, args.picture_px);
+    let report = read_report(folder);
+    let warnings = warnings(&report);
+    let mut mean = Mean::new(&report, &cones, &shapes, args.picture_px);
     for first in (0..drawn).step_by(TOGETHER) {
         let some = first..drawn.min(first + TOGETHER);
         let values: Vec<_> = some.clone().map(|index| counts.frame(index)).collect::<Result<_, _>>()?;
-        for ((image, png), index) in view.images(&shapes, &values).map_err(Failure::failed)?.iter().zip(some)
-        {
+        let images = view.images(&shapes, &values, &warnings).map_err(Failure::failed)?;
+        for ((image, png), index) in images.iter().zip(some) {
             if let Some(mean) = mean.as_mut().filter(|_| drawn > 1) {
                 mean.add(index, image);
             }
             write(&frames.join(format!("{index:04}.png")), png)?;
         }
     }
-    if let Some(png) = mean.filter(|_| drawn > 1).and_then(|mean| mean.png()) {
+    if let Some(png) = mean.filter(|_| drawn > 1).and_then(|mean| mean.png(&warnings)) {
         write(&frames.join("mean.png"), &png)?;
     }
     Ok(drawn)
+}
+
+/// report.json of a result; null when it is missing or damaged.
+pub fn read_report(folder: &Path) -> Value {
+    let text = fs::read_to_string(folder.join("report.json")).unwrap_or_default();
+    serde_json::from_str(&text).unwrap_or(Value::Null)
+}
+
+/// The warnings of a report.json.
+pub fn warnings(report: &Value) -> Vec<String> {
+    let texts = report["warnings"].as_array().map_or(&[][..], Vec::as_slice);
+    texts.iter().filter_map(|text| text.as_str().map(str::to_owned)).collect()
 }
 
 /// The cones of a result.
@@ -95,9 +109,7 @@ struct Mean {
 
 impl Mean {
     /// `None` when the report does not say how the eye moved.
-    fn new(folder: &Path, cones: &ConeColumns, shapes: &ConeShapes, picture_px: u32) -> Option<Self> {
-        let report: Value =
-            serde_json::from_str(&fs::read_to_string(folder.join("report.json")).ok()?).ok()?;
+    fn new(report: &Value, cones: &ConeColumns, shapes: &ConeShapes, picture_px: u32) -> Option<Self> {
         let spec: Experiment = serde_json::from_value(report.get("spec")?.clone()).ok()?;
         let frame_s = 1.0 / spec.display.frame_rate_hz;
         Some(Self {
@@ -132,12 +144,12 @@ impl Mean {
         }
     }
 
-    fn png(&self) -> Option<Vec<u8>> {
+    fn png(&self, warnings: &[String]) -> Option<Vec<u8>> {
         let [width, height] = self.size?.map(|side| side as u32);
         let mean = |[red, green, blue, frames]: &[f32; 4]| {
             [red, green, blue].map(|sum| encode_srgb(sum / frames.max(1.0)))
         };
-        RgbImage { width, height, rgb: self.sum.iter().flat_map(mean).collect() }.png().ok()
+        RgbImage { width, height, rgb: self.sum.iter().flat_map(mean).collect() }.png_with(warnings).ok()
     }
 }
 

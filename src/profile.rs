@@ -6,7 +6,6 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use photoneye_eye::experiment::{Experiment, Pattern, Video};
-use photoneye_eye::picture::encode_png;
 use photoneye_eye::video::reader::{self, Cones, Signal};
 use photoneye_eye::video::sweep::{self, Contrast, cut_off};
 use photoneye_store::table::ConeColumns;
@@ -15,7 +14,7 @@ use serde_json::Value;
 use crate::chart::{Axis, Chart, PALETTE, Series, Style, page};
 use crate::counts_file::CountsFile;
 use crate::failure::{Failure, plain};
-use crate::pictures::read_cones;
+use crate::pictures::{read_cones, read_report, warnings};
 
 /// Width of a column, degrees.
 const COLUMN_DEG: f64 = 0.25 / 60.0;
@@ -72,7 +71,7 @@ pub fn write(folder: &Path) -> Result<String, Failure> {
         charts.push(sweep_chart(&contrasts));
     }
     let image = page("", &charts, 1);
-    let png = encode_png(image.width, image.height, &image.rgb).map_err(Failure::failed)?;
+    let png = image.png_with(&warnings(&read_report(folder))).map_err(Failure::failed)?;
     save(&folder.join("profile.png"), &png)?;
     Ok(said)
 }

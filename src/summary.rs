@@ -13,6 +13,9 @@ pub fn of_report(report: &Value, out: &Path, pictures: usize) -> String {
     photons(&mut text, &budget);
     cones(&mut text, report);
     audit(&mut text, report);
+    for warning in crate::pictures::warnings(report) {
+        let _ = writeln!(text, "Warning       {warning}");
+    }
     seconds(&mut text, report);
     let _ = writeln!(text, "Result        {}", out.display());
     if pictures > 0 {
@@ -160,9 +163,17 @@ mod tests {
             "cones": {"l": 2, "m": 1, "s": 0},
             "frames": [{"types": {"l": {"mean": 10.0}, "m": {"mean": 5.0}}}],
             "seconds": {"count": 0.5},
+            "warnings": ["accuracy: above the target"],
         });
         let text = of_report(&report, Path::new("out/x"), 1);
-        for part in ["50 enter the pupil", "50.0 % lost in the lens", "50.0 % isomerize", "10.00", "out/x"] {
+        for part in [
+            "50 enter the pupil",
+            "50.0 % lost in the lens",
+            "50.0 % isomerize",
+            "10.00",
+            "out/x",
+            "Warning       accuracy: above",
+        ] {
             assert!(text.contains(part), "{part} is not in\n{text}");
         }
     }

@@ -2,6 +2,7 @@ function [counts, report] = photoneye_run(spec, server)
 % PHOTONEYE_RUN runs an experiment and returns counts [frame, cone] and the report.
 %   spec    the experiment as JSON text
 %   server  for example 'http://127.0.0.1:7733'
+% What the job warns of is a warning, for example that the audit found an error above accuracy.target.
 
 job = webwrite([server '/v1/jobs'], 'spec', spec);
 where = [server '/v1/jobs/' job.id];
@@ -11,6 +12,12 @@ while any(strcmp(job.state, {'QUEUED', 'RUNNING'}))
 end
 if ~strcmp(job.state, 'SUCCEEDED')
     error('photoneye:job', 'the job ended %s', job.state);
+end
+if isfield(job, 'warnings') && ~isempty(job.warnings)
+    texts = cellstr(job.warnings);
+    for k = 1:numel(texts)
+        warning('photoneye:job', '%s', texts{k});
+    end
 end
 report = webread([where '/report']);
 

@@ -9,6 +9,7 @@ import os
 import pathlib
 import sys
 import uuid
+import warnings
 
 import grpc
 import numpy
@@ -59,7 +60,10 @@ class Client:
         return json_format.ParseDict(spec, experiment_pb.Experiment())
 
     def run(self, experiment, request_id=None):
-        """Runs an experiment; returns (counts [frame, cone], cones as a pyarrow table, report)."""
+        """Runs an experiment; returns (counts [frame, cone], cones as a pyarrow table, report).
+
+        What the job warns of is a Python warning.
+        """
         request = jobs_pb.CreateJobRequest(experiment=experiment, request_id=request_id or str(uuid.uuid4()))
         job = self.experiments.CreateJob(request, metadata=self.metadata)
         chunks = {}
@@ -70,6 +74,8 @@ class Client:
         job = self.experiments.GetJob(jobs_pb.JobRequest(id=job.id), metadata=self.metadata)
         if job.state != jobs_pb.Job.SUCCEEDED:
             raise RuntimeError(job.error or jobs_pb.Job.State.Name(job.state))
+        for text in job.warnings:
+            warnings.warn(text, stacklevel=2)
         frames = sorted({frame for frame, _ in chunks})
         counts = numpy.stack([numpy.concatenate([chunks[k] for k in sorted(chunks) if k[0] == f]) for f in frames])
         pieces = self.experiments.GetCones(jobs_pb.JobRequest(id=job.id), metadata=self.metadata)

@@ -9,6 +9,7 @@ use photoneye_proto::{FieldError, v1};
 
 use crate::access::Caller;
 use crate::error::{Error, Kind};
+use crate::jobs::state::Goal;
 use crate::jobs::{Command, NewJob, Reply, Text};
 use crate::prepare::Prepared;
 use crate::service::{Service, unexpected};
@@ -155,7 +156,7 @@ impl Service {
 }
 
 fn new_job(caller: &Caller, prepared: Prepared, plan_json: String, wish: Wish) -> NewJob {
-    let Prepared { planned, digest, experiment_json } = prepared;
+    let Prepared { planned, digest, experiment_json, accuracy_target } = prepared;
     let plan = &planned.plan;
     let tiles = plan.tile_artifacts.iter().map(|keys| keys.iter().map(ToString::to_string).collect());
     let shards = plan.shards.iter().map(|shard| (shard.first_frame, shard.frame_count, shard.tile));
@@ -168,6 +169,7 @@ fn new_job(caller: &Caller, prepared: Prepared, plan_json: String, wish: Wish) -
         tiles: tiles.collect(),
         shards: shards.collect(),
         shard_us: planned.shard_us,
+        goal: Some(Goal { target: accuracy_target, drawn: plan.engine != "EXPECTED" }),
         request: wish.request_id.map(|id| (request_name(caller, &id), digest.clone())),
         experiment_digest: digest,
         tenant: caller.tenant.clone(),

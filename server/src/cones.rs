@@ -24,18 +24,19 @@ impl Service {
         tokio::task::spawn_blocking(move || Ok(cones_file(&columns(&experiment, &artifacts)?)?)).await?
     }
 
-    /// One frame as a PNG, the longer side as many pixels.
+    /// One frame as a PNG, the longer side as many pixels; warnings of the job are texts in it.
     ///
     /// # Errors
     /// When there is no such job or frame, it is not computed yet, or the side is out of range.
     pub async fn picture(&self, id: &str, frame: u32, side_px: u32) -> Result<Vec<u8>, Error> {
         let counts = self.frame(id, frame).await?;
+        let warnings = self.look(id, |_, job| job.warnings.clone()).await?;
         let experiment = self.experiment(id).await?;
         let artifacts = self.cone_artifacts(id, false).await?;
         let draw = move || {
             let shapes = shapes(columns(&experiment, &artifacts)?, experiment.eye.side);
             let view = View::new(&shapes, side_px).map_err(crate::spec::field_error)?;
-            view.png(&shapes, &counts).map_err(internal)
+            view.image(&shapes, &counts).png_with(&warnings).map_err(internal)
         };
         tokio::task::spawn_blocking(draw).await?
     }

@@ -28,6 +28,8 @@ pub struct Prepared {
     pub digest: String,
     /// The experiment, the model's own JSON.
     pub experiment_json: String,
+    /// `accuracy.target`.
+    pub accuracy_target: f64,
 }
 
 /// What is to be done for an experiment.
@@ -108,7 +110,12 @@ impl Service {
         let planned = self.plans.planned.get(key, move || planned(&bare, &speed)).await?;
         experiment.counts.seed = seed.unwrap_or(experiment.counts.seed);
         let digest = experiment.digest().map_err(|error| Error::new(Kind::Internal, error.to_string()))?;
-        Ok(Prepared { planned, digest: digest.to_string(), experiment_json: to_json(&experiment)? })
+        Ok(Prepared {
+            planned,
+            digest: digest.to_string(),
+            experiment_json: to_json(&experiment)?,
+            accuracy_target: experiment.accuracy_target,
+        })
     }
 }
 

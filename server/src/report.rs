@@ -23,6 +23,7 @@ struct Facts {
     artifacts: Value,
     frames: Value,
     wall_seconds: f64,
+    warnings: Vec<String>,
     /// Names of the documents that hold experiment and plan.
     texts: [String; 2],
 }
@@ -55,6 +56,7 @@ impl Service {
         let spec: Value = self.stored(&facts.texts[0]).await?;
         Ok(json!({
             "id": id,
+            "warnings": facts.warnings,
             "spec": spec,
             "digests": facts.digests,
             "engine": plan["engine"],
@@ -92,6 +94,7 @@ fn audit(samples: &[AuditSample], spec: &Value, drawn: bool) -> Value {
         "cones": found.cones,
         "relative_error": found.relative_error,
         "bound_95": found.bound_95,
+        "lower_bound_95": found.lower_bound_95,
         "by_chance": found.by_chance,
         "target": target,
         "within_target": found.relative_error - found.by_chance.max(0.0) <= target,
@@ -126,6 +129,7 @@ impl Service {
             by_chance: number("audit", "by_chance"),
             target: number("audit", "target"),
             within_target: report["audit"]["within_target"].as_bool(),
+            lower_bound_95: number("audit", "lower_bound_95"),
         });
         let prediction = v1::Prediction {
             predicted_seconds: number("prediction", "predicted_seconds"),
@@ -156,6 +160,7 @@ fn facts(state: &State, job: &Job) -> Facts {
         digests,
         artifacts: artifacts.into(),
         frames: frames(job),
+        warnings: job.warnings.clone(),
         wall_seconds: ended.saturating_sub(job.created_ms) as f64 / 1e3,
         texts: [job.experiment_text.clone(), job.plan_text.clone()],
     }

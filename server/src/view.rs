@@ -67,6 +67,7 @@ pub fn job(state: &State, job: &Job) -> v1::Job {
         finished_unix_s: job.finished_ms.map(seconds),
         progress: Some(progress(state, job)),
         error: job.error.clone(),
+        warnings: job.warnings.clone(),
         result_digest: job.result_digest.clone(),
         plan: None,
         tenant: Some(job.tenant.clone()),

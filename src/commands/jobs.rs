@@ -1,4 +1,4 @@
-//! `jobs`: the jobs of a server, newest first.
+//! `jobs`: the jobs of a server, newest first; one that warns of its result is marked `!`.
 
 use super::Context;
 use crate::cli::ServerArgs;
@@ -19,12 +19,15 @@ pub async fn run(context: Context, args: ServerArgs) -> Result<(), Failure> {
             }
             let state = format!("{:?}", job.state()).to_lowercase();
             let progress = job.progress.clone().unwrap_or_default();
+            let mark = if job.warnings.is_empty() { ' ' } else { '!' };
+            let warnings = job.warnings.iter().map(|warning| format!("warning: {warning}"));
+            let said: Vec<String> = job.error.clone().into_iter().chain(warnings).collect();
             output::line(format_args!(
-                "{}  {state:<9}  {}/{} shards  {}",
+                "{}  {state:<9}{mark} {}/{} shards  {}",
                 job.id(),
                 progress.shards_done(),
                 progress.shards_total(),
-                job.error()
+                said.join("; ")
             ))?;
         }
         match reply.next_page {

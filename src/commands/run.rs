@@ -96,11 +96,19 @@ pub(super) async fn follow(client: &Client, id: &str, mut progress: Progress) ->
     }
     progress.finish();
     let job = client.job(id).await?;
+    warn(&job);
     match job.state() {
         State::Succeeded => Ok(job),
         State::Failed => Err(Failure::failed(format!("the job failed: {}", job.error()))),
         State::Cancelled => Err(Failure::failed("the job was cancelled")),
         State::Queued | State::Running => Err(Failure::failed("the server stopped telling about the job")),
+    }
+}
+
+/// Says on standard error what a job warns of.
+fn warn(job: &v1::Job) {
+    for warning in &job.warnings {
+        output::note(format_args!("warning: {warning}"));
     }
 }
 

@@ -13,3 +13,4 @@ mod study;
 mod support;
 mod torture;
 mod video;
+mod warnings;

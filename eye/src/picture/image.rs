@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use super::encode_png;
+use super::{encode_png, encode_png_with};
 use crate::display::Transfer;
 
 /// 8-bit sRGB pixels, rows from the top.
@@ -37,6 +37,14 @@ impl RgbImage {
     /// When the encoder refuses, as for a picture without pixels.
     pub fn png(&self) -> Result<Vec<u8>, png::EncodingError> {
         encode_png(self.width, self.height, &self.rgb)
+    }
+
+    /// As a PNG with a text `Warning` (iTXt) for each warning.
+    ///
+    /// # Errors
+    /// As [`RgbImage::png`].
+    pub fn png_with(&self, warnings: &[String]) -> Result<Vec<u8>, png::EncodingError> {
+        encode_png_with(self.width, self.height, &self.rgb, warnings)
     }
 }
 

@@ -104,7 +104,7 @@ impl View {
         RgbImage { width: self.width as u32, height: self.height as u32, rgb }
     }
 
-    /// Some frames, each with its PNG; `counts[frame]` by cone.
+    /// Some frames, each with its PNG, which carries warnings; `counts[frame]` by cone.
     ///
     /// # Errors
     /// When the PNG encoder refuses.
@@ -112,10 +112,11 @@ impl View {
         &self,
         shapes: &ConeShapes,
         counts: &[Vec<f64>],
+        warnings: &[String],
     ) -> Result<Vec<(RgbImage, Vec<u8>)>, png::EncodingError> {
         let drawn = |counts: &Vec<f64>| {
             let image = self.image(shapes, counts);
-            let png = image.png()?;
+            let png = image.png_with(warnings)?;
             Ok((image, png))
         };
         counts.par_iter().map(drawn).collect()
@@ -165,11 +166,24 @@ fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
 /// # Errors
 /// When the encoder refuses.
 pub fn encode_png(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, png::EncodingError> {
+    encode_png_with(width, height, rgb, &[])
+}
+
+/// An 8-bit RGB PNG with a text `Warning` (iTXt: UTF-8) for each warning.
+fn encode_png_with(
+    width: u32,
+    height: u32,
+    rgb: &[u8],
+    warnings: &[String],
+) -> Result<Vec<u8>, png::EncodingError> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
     encoder.set_color(png::ColorType::Rgb);
     // A tenth larger than the default, twenty times as fast.
     encoder.set_compression(png::Compression::Fast);
+    for warning in warnings {
+        encoder.add_itxt_chunk("Warning".into(), warning.clone())?;
+    }
     let mut writer = encoder.write_header()?;
     writer.write_image_data(rgb)?;
     writer.finish()?;
@@ -219,6 +233,20 @@ mod tests {
         assert!((bright[0] / TINT[0][2] - bright[2] / TINT[2][2]).abs() < 1e-6);
         let dark = grey([400.0, 400.0, 0.0, 1.0]);
         assert!((dark[3] / TINT[2][2] - 50.0 / 400.0).abs() < 1e-6 && dark[2] == 0.0);
+    }
+
+    #[test]
+    fn a_picture_carries_its_warnings() {
+        let image = RgbImage::filled(2, 2, [1, 2, 3]);
+        let texts = |bytes: &[u8]| -> Vec<String> {
+            let reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
+            let texts = &reader.info().utf8_text;
+            assert!(texts.iter().all(|text| text.keyword == "Warning"));
+            texts.iter().map(|text| text.get_text().unwrap()).collect()
+        };
+        let warnings = ["above the target".to_owned(), "5 µm".to_owned()];
+        assert_eq!(texts(&image.png_with(&warnings).unwrap()), warnings);
+        assert_eq!(image.png_with(&[]).unwrap(), image.png().unwrap());
     }
 
     #[test]

@@ -4,6 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use photoneye_eye::exposure::audit::AuditSample;
+use photoneye_eye::report::WorkReport;
 use photoneye_proto::v1;
 use photoneye_proto::v1::commit_request::Done;
 use photoneye_proto::v1::lease_reply::{Nothing, Work};
@@ -107,7 +109,7 @@ impl Workers for Door {
                 let chunks = chunks.collect::<Result<Vec<_>, Status>>()?;
                 let digests = chunks.iter().map(|(_, digest, _)| *digest).collect();
                 self.stored("shard.chunks.digest", digests).await?;
-                Commit::Shard(chunks)
+                Commit::Shard { chunks, audit: audited(request.report_json.as_deref()) }
             }
         };
         let command = Command::Commit {
@@ -249,6 +251,18 @@ impl Door {
             })
             .await?;
         Ok(Work::Shard(work.ok_or_else(|| Status::internal("a leased shard is gone"))?))
+    }
+}
+
+/// The cones that a shard's report says were computed again.
+fn audited(report_json: Option<&str>) -> Vec<AuditSample> {
+    let Some(report) = report_json else { return Vec::new() };
+    match serde_json::from_str::<WorkReport>(report) {
+        Ok(report) => report.audit,
+        Err(error) => {
+            tracing::warn!(%error, "a worker's report cannot be read; its audit is left out");
+            Vec::new()
+        }
     }
 }
 

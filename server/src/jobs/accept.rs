@@ -86,7 +86,7 @@ impl Step<'_> {
             first_frame,
             frame_count,
             tile,
-            lease: Lease::default(),
+            ..Shard::default()
         });
         let job = Job {
             id: id.clone(),
@@ -105,6 +105,7 @@ impl Step<'_> {
             left: new.shards.len(),
             pass_us: 0,
             shard_us: new.shard_us,
+            goal: new.goal,
             version: 1,
             local: new.local,
             ..Job::default()

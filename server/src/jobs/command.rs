@@ -3,9 +3,10 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use photoneye_eye::exposure::audit::AuditSample;
 use photoneye_store::BlobDigest;
 
-use super::state::{Summary, WorkId};
+use super::state::{Goal, Summary, WorkId};
 
 /// What can happen.
 #[derive(Clone, Debug)]
@@ -115,6 +116,8 @@ pub struct NewJob {
     pub shards: Vec<(u32, u32, u32)>,
     /// Predicted work of one shard, microseconds.
     pub shard_us: u64,
+    /// By what its audit is judged; `None`: not at all.
+    pub goal: Option<Goal>,
     /// Request id and digest of the request's body.
     pub request: Option<(String, String)>,
     /// Whose it is.
@@ -175,8 +178,13 @@ pub enum Commit {
         /// Cones in it.
         cones: Option<u64>,
     },
-    /// Frame, digest and summary of each chunk of a shard, in frame order.
-    Shard(Vec<(u32, BlobDigest, Summary)>),
+    /// A shard.
+    Shard {
+        /// Frame, digest and summary of each chunk, in frame order.
+        chunks: Vec<(u32, BlobDigest, Summary)>,
+        /// Cones of its frames that were computed again.
+        audit: Vec<AuditSample>,
+    },
 }
 
 /// What the machine answers.

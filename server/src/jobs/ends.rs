@@ -134,6 +134,7 @@ impl Step<'_> {
             job.state = JobState::Running;
             job.finished_ms = None;
             job.result_digest = None;
+            job.warnings.clear();
         });
         if !self.state.active.contains(id) {
             self.state.activate(id);

@@ -43,6 +43,8 @@ impl State {
         let named = job.result_digest.is_some();
         ensure(named == (job.state == JobState::Succeeded), || format!("{id}: digest of the result"))?;
         ensure(job.state.active() == self.active.contains(id), || format!("{id}: active"))?;
+        let warned = !job.warnings.is_empty();
+        ensure(!warned || job.state == JobState::Succeeded, || format!("{id}: warnings of {:?}", job.state))?;
         let mut numbers: Vec<u64> = job.chunks.values().map(|chunk| chunk.seq).collect();
         numbers.sort_unstable();
         ensure(numbers.into_iter().eq(1..=job.chunks.len() as u64), || {

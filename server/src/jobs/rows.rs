@@ -17,6 +17,11 @@ pub(super) fn shard_from(row: &SqliteRow) -> Result<Shard, StoreError> {
         frame_count: row.try_get("frame_count")?,
         tile: row.try_get("tile")?,
         lease: lease_from(row)?,
+        // What another version wrote in other words is no reason not to start.
+        audit: from_json(row, "audit").unwrap_or_else(|error| {
+            tracing::warn!(%error, "an audit cannot be read and is left out");
+            Vec::new()
+        }),
     })
 }
 
@@ -47,6 +52,8 @@ pub(super) fn job_from(row: &SqliteRow) -> Result<Job, StoreError> {
         artifacts: from_json(row, "artifacts")?,
         tiles: from_json(row, "tiles")?,
         error: row.try_get("error")?,
+        warnings: from_json(row, "warnings")?,
+        goal: row.try_get::<Option<&str>, _>("goal")?.map(|_| from_json(row, "goal")).transpose()?,
         result_digest: row.try_get("result_digest")?,
         version: unsigned(row, "version")?,
         pass_us: unsigned(row, "pass_us")?,

@@ -70,11 +70,11 @@ impl Tables {
     fn add(&mut self, state: &State, row: &Row) -> Result<(), StoreError> {
         let job_of = |id: &str| state.jobs.get(id).ok_or_else(|| gone("job"));
         match row {
-            Row::NewJob(id) => self.new_jobs.push(new_job(job_of(id)?)),
+            Row::NewJob(id) => self.new_jobs.push(new_job(job_of(id)?)?),
             Row::Job(id) => self.jobs.push(job(job_of(id)?)),
             Row::Shard(id, number) => {
                 let found = job_of(id)?.shards.get(*number as usize).ok_or_else(|| gone("shard"))?;
-                self.shards.push(shard(id, *number, found));
+                self.shards.push(shard(id, *number, found)?);
             }
             Row::Artifact(key) => {
                 let found = state.artifacts.get(key).ok_or_else(|| gone("artifact"))?;
@@ -111,8 +111,8 @@ impl Tables {
     }
 }
 
-fn new_job(job: &Job) -> Value {
-    json!({
+fn new_job(job: &Job) -> Result<Value, StoreError> {
+    Ok(json!({
         "id": job.id,
         "number": signed(job.number),
         "state": number_of(&JobState::ALL, &job.state),
@@ -125,6 +125,8 @@ fn new_job(job: &Job) -> Value {
         "artifacts": job.artifacts,
         "tiles": job.tiles,
         "error": job.error,
+        "warnings": job.warnings,
+        "goal": job.goal.as_ref().map(text_of).transpose()?,
         "result_digest": job.result_digest,
         "version": signed(job.version),
         "pass_us": signed(job.pass_us),
@@ -133,7 +135,7 @@ fn new_job(job: &Job) -> Value {
         "priority": job.priority,
         "shard_count": job.shard_count,
         "local": job.local,
-    })
+    }))
 }
 
 fn job(job: &Job) -> Value {
@@ -143,6 +145,7 @@ fn job(job: &Job) -> Value {
         "created_ms": signed(job.created_ms),
         "finished_ms": job.finished_ms.map(signed),
         "error": job.error,
+        "warnings": job.warnings,
         "result_digest": job.result_digest,
         "version": signed(job.version),
         "pass_us": signed(job.pass_us),
@@ -163,15 +166,16 @@ fn artifact(artifact: &Artifact) -> Value {
     with_lease(row, &artifact.lease)
 }
 
-fn shard(job: &str, number: u32, shard: &Shard) -> Value {
+fn shard(job: &str, number: u32, shard: &Shard) -> Result<Value, StoreError> {
     let row = json!({
         "job": job,
         "number": number,
         "first_frame": shard.first_frame,
         "frame_count": shard.frame_count,
         "tile": shard.tile,
+        "audit": text_of(&shard.audit)?,
     });
-    with_lease(row, &shard.lease)
+    Ok(with_lease(row, &shard.lease))
 }
 
 fn with_lease(mut row: Value, lease: &Lease) -> Value {
@@ -185,9 +189,7 @@ fn with_lease(mut row: Value, lease: &Lease) -> Value {
 }
 
 fn chunk(job: &str, frame: u32, tile: u32, chunk: &Chunk) -> Result<Value, StoreError> {
-    // A text in the text: numbers keep their digits.
-    let summary =
-        serde_json::to_string(&chunk.summary).map_err(|error| StoreError::Row(error.to_string()))?;
+    let summary = text_of(&chunk.summary)?;
     Ok(json!({
         "job": job,
         "frame": frame,
@@ -198,6 +200,11 @@ fn chunk(job: &str, frame: u32, tile: u32, chunk: &Chunk) -> Result<Value, Store
         "cones": signed(chunk.cones),
         "summary": summary,
     }))
+}
+
+/// JSON as a text in the text: numbers keep their digits.
+fn text_of<T: serde::Serialize>(value: &T) -> Result<String, StoreError> {
+    serde_json::to_string(value).map_err(|error| StoreError::Row(error.to_string()))
 }
 
 /// A row names something that is not there.

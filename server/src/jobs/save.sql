@@ -7,10 +7,10 @@ SELECT NULL AS new_jobs, NULL AS jobs, NULL AS artifacts, NULL AS shards, NULL A
 CREATE TEMP TRIGGER save INSTEAD OF INSERT ON batch BEGIN
 
 INSERT INTO jobs (id, number, state, experiment_digest, experiment_text, plan_text, created_ms, finished_ms, frames, artifacts,
-                  tiles, error, result_digest, version, pass_us, shard_us, tenant, priority, shard_count, local)
+                  tiles, error, warnings, goal, result_digest, version, pass_us, shard_us, tenant, priority, shard_count, local)
 SELECT value ->> 'id', value ->> 'number', value ->> 'state', value ->> 'experiment_digest', value ->> 'experiment_text',
        value ->> 'plan_text', value ->> 'created_ms', value ->> 'finished_ms', value ->> 'frames', value -> 'artifacts',
-       value -> 'tiles', value ->> 'error', value ->> 'result_digest', value ->> 'version', value ->> 'pass_us',
+       value -> 'tiles', value ->> 'error', value -> 'warnings', value ->> 'goal', value ->> 'result_digest', value ->> 'version', value ->> 'pass_us',
        value ->> 'shard_us', value ->> 'tenant', value ->> 'priority', value ->> 'shard_count',
        value ->> 'local'
 FROM json_each(new.new_jobs);
@@ -18,7 +18,7 @@ FROM json_each(new.new_jobs);
 UPDATE jobs
 SET state = row.value ->> 'state', created_ms = row.value ->> 'created_ms', finished_ms = row.value ->> 'finished_ms', error = row.value ->> 'error',
     result_digest = row.value ->> 'result_digest', version = row.value ->> 'version', pass_us = row.value ->> 'pass_us',
-    cones = row.value ->> 'cones'
+    cones = row.value ->> 'cones', warnings = row.value -> 'warnings'
 FROM json_each(new.jobs) AS row WHERE jobs.id = row.value ->> 'id';
 
 INSERT INTO artifacts (key, kind, inputs, digest, cones, predicted_us, phase, fence, worker, local, failures, losses, previous)
@@ -30,12 +30,13 @@ ON CONFLICT (key) DO UPDATE SET digest = excluded.digest, previous = excluded.pr
     phase = excluded.phase, fence = excluded.fence, worker = excluded.worker, local = excluded.local,
     failures = excluded.failures, losses = excluded.losses;
 
-INSERT INTO shards (job, number, first_frame, frame_count, tile, phase, fence, worker, local, failures, losses)
+INSERT INTO shards (job, number, first_frame, frame_count, tile, phase, fence, worker, local, failures, losses, audit)
 SELECT value ->> 'job', value ->> 'number', value ->> 'first_frame', value ->> 'frame_count', value ->> 'tile',
-       value ->> 'phase', value ->> 'fence', value ->> 'worker', value ->> 'local', value ->> 'failures', value ->> 'losses'
+       value ->> 'phase', value ->> 'fence', value ->> 'worker', value ->> 'local', value ->> 'failures', value ->> 'losses',
+       value ->> 'audit'
 FROM json_each(new.shards) WHERE true
 ON CONFLICT (job, number) DO UPDATE SET phase = excluded.phase, fence = excluded.fence, worker = excluded.worker,
-    local = excluded.local, failures = excluded.failures, losses = excluded.losses;
+    local = excluded.local, failures = excluded.failures, losses = excluded.losses, audit = excluded.audit;
 
 INSERT INTO chunks (job, frame, tile, seq, digest, first_cone, cones, summary)
 SELECT value ->> 'job', value ->> 'frame', value ->> 'tile', value ->> 'seq', value ->> 'digest', value ->> 'first_cone',

@@ -26,11 +26,12 @@ use super::store::{Batch, Documents, JobStore, StoreError};
 use super::sweep::sweep;
 
 /// The tables, step by step.
-const MIGRATIONS: [(i64, &str, &str); 4] = [
+const MIGRATIONS: [(i64, &str, &str); 5] = [
     (1, "jobs", include_str!("../../../migrations/0001_jobs.sql")),
     (2, "tenants", include_str!("../../../migrations/0002_tenants.sql")),
     (3, "texts", include_str!("../../../migrations/0003_texts.sql")),
     (4, "local", include_str!("../../../migrations/0004_local.sql")),
+    (5, "warnings", include_str!("../../../migrations/0005_warnings.sql")),
 ];
 
 /// Read-only connections.

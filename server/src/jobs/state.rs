@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::str::FromStr;
 
+use photoneye_eye::exposure::audit::{AuditSample, verdict};
 use photoneye_store::BlobDigest;
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +41,15 @@ impl JobState {
     pub fn active(self) -> bool {
         matches!(self, Self::Queued | Self::Running)
     }
+}
+
+/// By what a job's audit is judged.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Goal {
+    /// `accuracy.target`: relative error of the mean per cone, L1 over cones.
+    pub target: f64,
+    /// Whether values of the engine are counts and not means.
+    pub drawn: bool,
 }
 
 /// A job.
@@ -83,6 +93,10 @@ pub struct Job {
     pub order: Vec<(u32, u32)>,
     /// Why it failed.
     pub error: Option<String>,
+    /// What its users have to know of its result, a sentence each; only when it succeeded.
+    pub warnings: Vec<String>,
+    /// By what its audit is judged; `None`: not at all.
+    pub goal: Option<Goal>,
     /// Digest over all chunks, when it succeeded.
     pub result_digest: Option<String>,
     /// Rises with every change that a user can see.
@@ -112,6 +126,8 @@ pub struct Shard {
     pub tile: u32,
     /// Who is at it.
     pub lease: Lease,
+    /// Cones of its frames that were computed again, when it is done.
+    pub audit: Vec<AuditSample>,
 }
 
 /// Something built once, under the hash of its inputs.
@@ -342,6 +358,20 @@ impl Job {
         order.sort_unstable();
         self.order = order.into_iter().map(|(_, place)| place).collect();
         self.left = self.shards.iter().filter(|shard| shard.lease.phase != Phase::Done).count();
+    }
+
+    /// Cones that were computed again, in the order of frames, tiles and cones.
+    pub fn audit(&self) -> Vec<AuditSample> {
+        let mut samples: Vec<AuditSample> =
+            self.shards.iter().flat_map(|shard| &shard.audit).copied().collect();
+        samples.sort_by_key(|s| (s.frame, s.tile, s.cone));
+        samples
+    }
+
+    /// What the audit of a finished job warns of; all shards have to be there.
+    pub(super) fn judge(&self) -> Vec<String> {
+        let warning = |goal: Goal| verdict(&self.audit(), goal.drawn)?.warning(goal.target);
+        self.goal.and_then(warning).into_iter().collect()
     }
 
     /// Digest over all chunks: BLAKE3 over frame, tile (u32 little-endian) and the chunk's hash, in frame and tile order.

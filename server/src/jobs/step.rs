@@ -1,5 +1,6 @@
 //! The machine's logic: a command changes the state and says which rows a store has to keep. No I/O, no clock, no randomness.
 
+use photoneye_eye::exposure::audit::AuditSample;
 use photoneye_store::BlobDigest;
 
 use super::command::{Ask, Command, Commit, Effects, Record, Reply, Row};
@@ -114,12 +115,13 @@ impl Step<'_> {
             (WorkId::Build(key), Commit::Artifact { digest, cones }) => {
                 self.commit_artifact(id, key, digest, cones);
             }
-            (WorkId::Shard(job, number), Commit::Shard(chunks)) => {
+            (WorkId::Shard(job, number), Commit::Shard { chunks, audit }) => {
                 if let Err(reason) = self.commit_chunks(job, *number, chunks) {
                     return Reply::Unfit(reason);
                 }
+                self.keep_audit(job, *number, audit);
             }
-            (WorkId::Build(_), Commit::Shard(_)) => {
+            (WorkId::Build(_), Commit::Shard { .. }) => {
                 return Reply::Unfit("a build commits an artifact".into());
             }
             (WorkId::Shard(..), Commit::Artifact { .. }) => {
@@ -196,6 +198,14 @@ impl Step<'_> {
         Ok(())
     }
 
+    /// A shard that is computed again replaces its audit; the row is written with the lease.
+    fn keep_audit(&mut self, job: &str, number: u32, audit: Vec<AuditSample>) {
+        let job = self.state.jobs.get_mut(job);
+        if let Some(shard) = job.and_then(|job| job.shards.get_mut(number as usize)) {
+            shard.audit = audit;
+        }
+    }
+
     fn finish_when_done(&mut self, id: &str) {
         let now_ms = self.now_ms;
         let done = self.state.jobs.get(id).is_some_and(|job| job.left == 0);
@@ -209,6 +219,7 @@ impl Step<'_> {
                 job.state = JobState::Succeeded;
                 job.finished_ms = Some(now_ms);
                 job.result_digest = Some(job.digest_of_chunks());
+                job.warnings = job.judge();
             }
         });
     }

@@ -28,6 +28,7 @@ pub fn job(id: &str, request: Option<(String, String)>) -> NewJob {
         tiles: vec![vec!["cones0".into(), "kernel".into()], vec!["cones1".into(), "kernel".into()]],
         shards: vec![(0, 2, 0), (0, 2, 1), (2, 2, 0), (2, 2, 1)],
         shard_us: 500,
+        goal: None,
         request,
         tenant: "local".into(),
         priority: 5,
@@ -61,7 +62,8 @@ pub fn commit(state: &State, id: WorkId, fence: u64, salt: u32) -> Command {
             let shard = &state.jobs[job].shards[*number as usize];
             let frames = shard.first_frame..shard.first_frame + shard.frame_count;
             let digest = |frame| BlobDigest::of(format!("{frame} {} {salt}", shard.tile).as_bytes());
-            Commit::Shard(frames.map(|frame| (frame, digest(frame), Summary::default())).collect())
+            let chunks = frames.map(|frame| (frame, digest(frame), Summary::default())).collect();
+            Commit::Shard { chunks, audit: Vec::new() }
         }
     };
     Command::Commit { id, fence, commit, report_json: Some("{}".into()) }

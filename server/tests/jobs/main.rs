@@ -12,3 +12,4 @@ mod model;
 mod random;
 mod speed;
 mod stored;
+mod warnings;

@@ -243,7 +243,8 @@ fn result(id: &WorkId) -> Commit {
     match id {
         WorkId::Build(key) => Commit::Artifact { digest: BlobDigest::of(key.as_bytes()), cones: Some(3) },
         WorkId::Shard(_, number) => {
-            Commit::Shard(vec![(*number, BlobDigest::of(&number.to_le_bytes()), Summary::default())])
+            let chunk = (*number, BlobDigest::of(&number.to_le_bytes()), Summary::default());
+            Commit::Shard { chunks: vec![chunk], audit: Vec::new() }
         }
     }
 }

@@ -6,3 +6,4 @@ mod common;
 mod doors;
 mod streams;
 mod upkeep;
+mod warnings;

@@ -105,7 +105,12 @@ pub async fn work_on(channel: &Channel, real: bool) -> usize {
 }
 
 /// The same with so many made-up cones.
-pub async fn work_of(channel: &Channel, real: bool, mut cones: u64) -> usize {
+pub async fn work_of(channel: &Channel, real: bool, cones: u64) -> usize {
+    work_saying(channel, real, cones, None).await
+}
+
+/// The same; with each shard comes a report.
+pub async fn work_saying(channel: &Channel, real: bool, mut cones: u64, report: Option<&str>) -> usize {
     let made = cones;
     let mut workers = WorkersClient::new(channel.clone());
     for count in 0.. {
@@ -125,8 +130,9 @@ pub async fn work_of(channel: &Channel, real: bool, mut cones: u64) -> usize {
             }
             Work::Shard(shard) => v1::commit_request::Done::Shard(counts(channel, shard, cones).await),
         };
-        let request =
-            v1::CommitRequest { id: lease.id, fence: lease.fence, done: Some(done), report_json: None };
+        let is_shard = matches!(done, v1::commit_request::Done::Shard(_));
+        let report_json = report.filter(|_| is_shard).map(str::to_owned);
+        let request = v1::CommitRequest { id: lease.id, fence: lease.fence, done: Some(done), report_json };
         assert!(workers.commit(request).await.unwrap().into_inner().accepted());
     }
     unreachable!()
