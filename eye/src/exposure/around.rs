@@ -20,6 +20,7 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::{DMat2, DVec2};
+use multiversion::multiversion;
 use rustfft::num_complex::Complex64;
 
 use super::lowrank::add;
@@ -30,8 +31,12 @@ use crate::optics::Projection;
 
 /// Points of the differences along a direction, and half of those around.
 const POINTS: usize = 7;
+/// Points on either side of the middle.
+const REACH: usize = POINTS / 2;
 /// Central differences of the sixth order, over the step, for distances of 1, 2 and 3 steps.
 const CENTRAL: [f64; 3] = [0.75, -0.15, 1.0 / 60.0];
+/// Smallest bend that is computed, over the kernels' tolerance.
+const SEEN: f64 = 0.2;
 /// Step of the map's second derivatives, unit tangents.
 const STEP: f64 = 2e-3;
 
@@ -43,14 +48,21 @@ pub struct Around {
     second: Vec<[f64; 3]>,
     /// By component of q: coefficients of ξ_x², ξ_y² and ξ_x ξ_y.
     bend: [[f64; 3]; 2],
+    /// Whether that is seen.
+    bends: bool,
 }
 
 impl Around {
-    /// The surroundings of a point of `nodes`.
+    /// The surroundings of a point of `nodes`, for PSFs as wide as `spot` (radius, unit tangents) and kernels of a `tolerance`.
     ///
     /// # Errors
     /// When the screen beside the point is not seen.
-    pub fn new(projection: &Projection, nodes: &FieldNodes, point: &FieldPoint) -> Result<Self, String> {
+    pub fn new(
+        projection: &Projection,
+        nodes: &FieldNodes,
+        point: &FieldPoint,
+        (spot, tolerance): (f64, f64),
+    ) -> Result<Self, String> {
         let jacobian = |t: DVec2| projection.jacobian_um_per_tangent(t).map_err(|e| e.to_string());
         let here = jacobian(point.tangent)?;
         let by = |axis: DVec2| -> Result<DMat2, String> {
@@ -62,6 +74,8 @@ impl Around {
         let curved = [by_x.x_axis, by_y.y_axis, 0.5 * (by_x.y_axis + by_y.x_axis)];
         let bent = curved.map(|c| here.inverse() * c);
         let bend = [0, 1].map(|c| [0.5 * bent[0][c], 0.5 * bent[1][c], bent[2][c]]);
+        // The bend moves light by b ξ², a part b ξ of a PSF that is ξ wide.
+        let bends = bend.iter().flatten().map(|b| b.abs()).fold(0.0, f64::max) * spot > SEEN * tolerance;
         // Chain rule from places on the retina to the screen.
         let slopes = nodes.slopes(point.landing_um);
         let first = slopes.iter().map(|s| here.transpose() * s.first).collect();
@@ -73,7 +87,7 @@ impl Around {
                 [0.5 * (quadratic.x_axis.x + xx), 0.5 * (quadratic.y_axis.y + yy), quadratic.x_axis.y + xy]
             })
             .collect();
-        Ok(Self { first, second, bend })
+        Ok(Self { first, second, bend, bends })
     }
 
     /// What a cone at the point `own` of the field collects, from the kernels `[field point][primary·sample]`.
@@ -85,7 +99,9 @@ impl Around {
             let range = primary * samples..(primary + 1) * samples;
             let parts: Vec<&[Complex64]> = kernels.iter().map(|k| &k[range.clone()]).collect();
             self.add_field(shape, &parts, &mut made[range.clone()], &mut scratch);
-            self.add_bend(shape, parts[own], &mut made[range], &mut scratch);
+            if self.bends {
+                self.add_bend(shape, parts[own], &mut made[range], &mut scratch);
+            }
         }
         made
     }
@@ -169,6 +185,10 @@ pub struct Moments {
     along: Vec<(usize, [f64; POINTS])>,
     /// Weights of the derivative by the azimuth for distances of 1, 2 and 3 steps.
     around: [f64; 3],
+    /// By radius: its inverse; 1 at 0.
+    over_radius: Vec<f64>,
+    /// Radii in a unit of frequency.
+    per_step: f64,
 }
 
 impl Moments {
@@ -180,15 +200,20 @@ impl Moments {
             (first, derivative(i - first).map(|w| w / step))
         };
         let turn = PI / shape.azimuthal as f64;
-        Self { shape, along: (0..shape.radial).map(of_radius).collect(), around: CENTRAL.map(|w| w / turn) }
+        let over = |i: usize| if i == 0 { 1.0 } else { 1.0 / (step * i as f64) };
+        Self {
+            shape,
+            along: (0..shape.radial).map(of_radius).collect(),
+            around: CENTRAL.map(|w| w / turn),
+            over_radius: (0..shape.radial).map(over).collect(),
+            per_step: 1.0 / step,
+        }
     }
 
     /// Adds `M_axis` of a table: the transform of the kernel times its offset along x (0) or y (1).
     fn add_moment(&self, table: &[Complex64], axis: usize, to: &mut [Complex64]) {
-        let Self { shape, along, around } = self;
+        let Self { shape, along, around, over_radius, per_step } = self;
         let radial = shape.radial;
-        let step = shape.radius / (radial - 1) as f64;
-        let factor = Complex64::new(0.0, 1.0 / TAU);
         let mut turned = vec![Complex64::ZERO; radial];
         for (j, to) in to.chunks_mut(radial).enumerate() {
             let (sin, cos) = (PI * j as f64 / shape.azimuthal as f64).sin_cos();
@@ -200,17 +225,20 @@ impl Moments {
                     self.add_line(table, j as i64 + sign * distance, weight, &mut turned);
                 }
             }
+            // Near 0 the table is linear along each direction: ∂_φ/r is ∂_φ of its slope.
+            turned[0] = weighted(&turned[..POINTS], &along[0].1);
             let line = &table[j * radial..(j + 1) * radial];
-            for (i, (to, (first, weights))) in to.iter_mut().zip(along).enumerate() {
+            // Radii near the ends have one-sided differences.
+            let ends = (0..REACH).chain(radial - REACH..radial);
+            for i in ends {
+                let (first, weights) = &along[i];
                 let slope = weighted(&line[*first..first + POINTS], weights);
-                // Near 0 the table is linear along each direction: ∂_φ/r is ∂_φ of its slope.
-                let around = if i == 0 {
-                    weighted(&turned[..POINTS], &along[0].1)
-                } else {
-                    turned[i] / (step * i as f64)
-                };
-                *to += factor * (by_radius * slope + by_azimuth * around);
+                let v = by_radius * slope + by_azimuth * over_radius[i] * turned[i];
+                to[i] += Complex64::new(-v.im, v.re) / TAU;
             }
+            let inner = REACH..radial - REACH;
+            let parts = [&turned[inner.clone()], line];
+            add_inner(parts, &over_radius[inner.clone()], [by_radius, by_azimuth, *per_step], &mut to[inner]);
         }
     }
 
@@ -220,11 +248,46 @@ impl Moments {
         let index = azimuth.rem_euclid(2 * half);
         let line = (index % half) as usize * self.shape.radial;
         let line = &table[line..line + self.shape.radial];
-        if index < half {
-            to.iter_mut().zip(line).for_each(|(to, z)| *to += weight * z);
-        } else {
-            to.iter_mut().zip(line).for_each(|(to, z)| *to += weight * z.conj());
-        }
+        add_turned(to, line, weight, index >= half);
+    }
+}
+
+/// Adds the moment at inner radii, from the derivative by azimuth there and the whole line.
+#[multiversion(targets("x86_64+avx2"))]
+fn add_inner(
+    [turned, line]: [&[Complex64]; 2],
+    over_radius: &[f64],
+    [by_radius, by_azimuth, per_step]: [f64; 3],
+    to: &mut [Complex64],
+) {
+    let count = to.len();
+    let [a, b, c] = CENTRAL.map(|w| w * by_radius * per_step / TAU);
+    let d = by_azimuth / TAU;
+    let at = |offset: usize| &line[offset..offset + count];
+    let (p1, p2, p3, m1, m2, m3) = (at(4), at(5), at(6), at(2), at(1), at(0));
+    let (turned, over_radius) = (&turned[..count], &over_radius[..count]);
+    for i in 0..count {
+        let around = d * over_radius[i];
+        let re = a * (p1[i].re - m1[i].re)
+            + b * (p2[i].re - m2[i].re)
+            + c * (p3[i].re - m3[i].re)
+            + around * turned[i].re;
+        let im = a * (p1[i].im - m1[i].im)
+            + b * (p2[i].im - m2[i].im)
+            + c * (p3[i].im - m3[i].im)
+            + around * turned[i].im;
+        to[i].re -= im;
+        to[i].im += re;
+    }
+}
+
+/// Adds a line times a factor, conjugate or not.
+#[multiversion(targets("x86_64+avx2"))]
+fn add_turned(to: &mut [Complex64], line: &[Complex64], weight: f64, conjugate: bool) {
+    let of_im = if conjugate { -weight } else { weight };
+    for (to, z) in to.iter_mut().zip(line) {
+        to.re += weight * z.re;
+        to.im += of_im * z.im;
     }
 }
 

@@ -8,7 +8,7 @@ use super::around::{Around, Moments};
 use super::cones::emission;
 use super::field::Field;
 use super::kernel::{
-    APERTURE_UM, ARRIVING_TOLERANCE, Head, KernelSpec, KindBasis, Kernels, MEAN_WEIGHT, PlaceKernels, SHARES,
+    APERTURE_UM, ARRIVING_TOLERANCE, Head, KernelSpec, Kernels, KindBasis, MEAN_WEIGHT, PlaceKernels, SHARES,
     TABLE_TOLERANCE, Tables, UM_PER_TANGENT,
 };
 use super::lowrank::{add, modes, reduce};
@@ -95,7 +95,9 @@ impl KernelSpec {
         // What cones do with the wavelengths is a mixture of few modes; each has a kernel for sources at every point.
         let (mixtures, modes) = self.modes(points.len(), &paths)?;
         let (kernels, throughput) = self.kernels_by_mode(&jobs, &factors, &modes, shape);
-        let kernels = self.collected(&projection, &points, &kernels, shape)?;
+        let blur = |(p, w): &(&FieldPoint, &Wavefront)| extent(p, w)[0];
+        let spot = jobs.iter().map(blur).fold(0.0, f64::max);
+        let kernels = self.collected((&projection, &points), (&kernels, shape), spot)?;
         let (kinds, tables, basis_error) = self.basis(kernels, &mixtures, points.len(), shape);
         let ranks = [tables[0].len(), tables[1].len()];
         Ok(Kernels {
@@ -118,13 +120,13 @@ impl KernelSpec {
     /// What cones at the points of the field collect, `[mode][field point]`, from the kernels of sources at these points.
     fn collected(
         &self,
-        projection: &Projection,
-        points: &[FieldPoint],
-        kernels: &[PlaceKernels],
-        shape: PolarShape,
+        (projection, points): (&Projection, &[FieldPoint]),
+        (kernels, shape): (&[PlaceKernels], PolarShape),
+        spot: f64,
     ) -> Result<Vec<PlaceKernels>, String> {
         let (moments, nodes) = (Moments::new(shape), self.field());
-        let around = |point: &FieldPoint| Around::new(projection, &nodes, point);
+        let size = (spot, self.tolerance);
+        let around = |point: &FieldPoint| Around::new(projection, &nodes, point, size);
         let arounds: Vec<Around> = points.par_iter().map(around).collect::<Result<_, _>>()?;
         let of_mode = |kernels: &PlaceKernels| {
             let of_sources: Vec<&[Complex64]> = kernels.iter().map(Vec::as_slice).collect();

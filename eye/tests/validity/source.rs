@@ -25,7 +25,7 @@ use photoneye_eye::spectrum::Spectrum;
 use photoneye_eye::video::draw;
 use rayon::prelude::*;
 
-use crate::support::{build, figure_12, primary};
+use crate::support::{WHITE, build, figure_12, primary};
 
 const NM: f64 = 543.0;
 /// Step of the Jacobians, stop radii.
@@ -341,7 +341,21 @@ fn one_lit_pixel_behind_all_pupils() {
 fn audited_cones_against_the_reference() {
     let get = |name: &str, or: f64| std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(or);
     let (pupil_mm, ecc_deg) = (get("PUPIL", 6.0), get("ECC", 0.0));
-    let mut experiment = scene(POINT, pupil_mm, ecc_deg, 1e-3);
+    let pattern = match std::env::var("PATTERN").as_deref() {
+        Ok("white") => WHITE,
+        Ok("squares") => Pattern::Checkerboard { square_px: 1 },
+        Ok("checks") => Pattern::Checkerboard { square_px: 10 },
+        Ok("letter") => letter(),
+        _ => POINT,
+    };
+    let target = get("TARGET", 1e-3);
+    let mut experiment = scene(pattern.clone(), pupil_mm, ecc_deg, target);
+    if std::env::var_os("WHITE").is_some() {
+        let gaze = experiment.gaze.clone();
+        experiment = figure_12(pattern);
+        (experiment.gaze, experiment.accuracy_target, experiment.eye.pupil_mm) = (gaze, target, pupil_mm);
+        experiment.counts.poisson = false;
+    }
     experiment.audit_cones = get("CONES", 16.0) as u32;
     let knob = |name: &str| std::env::var(name).ok().and_then(|v| v.parse::<f64>().ok());
     let knobs = &mut experiment.counts.knobs;
@@ -354,7 +368,8 @@ fn audited_cones_against_the_reference() {
     let prepared = Prepared::new(&experiment);
     let frame = prepared.exposure.frame(0, None).unwrap();
     let samples = prepared.exposure.audit(0, None, &[], &frame).unwrap();
-    println!("{:?}", verdict(&samples, false));
+    let estimate: f64 = prepared.plan.error_estimate.iter().map(|p| p.relative).sum();
+    println!("{:?}, estimate {estimate:.1e}", verdict(&samples, false));
     if knob("NODES") == Some(0.0) {
         for s in samples.iter().filter(|s| s.value > 1.0) {
             println!("{:.4} {:+.2e}", s.value, s.value / s.reference - 1.0);

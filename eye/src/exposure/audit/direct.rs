@@ -220,7 +220,8 @@ impl Sum<'_> {
         for (primary, sums) in self.lights.sums.iter().enumerate() {
             let block = f64::from(self.lights.block_px);
             // A pixel of room for misregistered rectangles and spots.
-            let around = self.longest_path(primary) + 2.0 + SPOT * self.projector.emitters[primary].spot_sd_px;
+            let around =
+                self.longest_path(primary) + 2.0 + SPOT * self.projector.emitters[primary].spot_sd_px;
             for (index, _) in sums.iter().enumerate().filter(|(_, light)| **light > 0.0) {
                 let columns = self.lights.columns as usize;
                 let first = DVec2::new((index % columns) as f64, (index / columns) as f64) * block;
