@@ -16,7 +16,7 @@ use crate::retina::{ConeType, Retina};
 pub struct MappedCone {
     /// Corners of its aperture, pixels from the window's corner.
     pub polygon_px: Vec<DVec2>,
-    /// Centre on the retina, µm.
+    /// The place on the retina, µm, to which the chief ray goes from where its light comes.
     pub um: DVec2,
     /// Visual eccentricity, degrees.
     pub ecc_deg: f64,
@@ -127,16 +127,20 @@ impl ConeTable {
             .into_par_iter()
             .map(|i| {
                 let um = DVec2::new(retina.x_um[i], retina.y_um[i]);
-                // Across a cone the map is straight: at 40° its corners are off by 1e-4 of its width.
-                let (tangent, jacobian) = fit.linear(um);
+                // Across a cone the maps are straight: at 40° its corners are off by 1e-4 of its width. Its place on the screen is
+                // the one whose light arrives there; pigments are those of its own eccentricity.
+                let (source, slope) = primaries.kernels.source_um(um);
+                let (tangent, jacobian) = fit.linear(source);
+                let jacobian = jacobian * slope;
+                let ecc_deg = fit.linear(um).0.length().atan().to_degrees();
                 let [px, py] = retina.pointing[i];
                 MappedCone {
                     polygon_px: retina
                         .polygon(i)
                         .map(|c| scene.window_px(tangent + jacobian * (c - um)))
                         .collect(),
-                    um,
-                    ecc_deg: tangent.length().atan().to_degrees(),
+                    um: source,
+                    ecc_deg,
                     cone_type: retina.cone_type[i],
                     pointing: pointing.as_ref().map_or(1.0, |p| p.factor(f64::from(px).hypot(f64::from(py)))),
                 }

@@ -9,12 +9,12 @@
 //!
 //! Absolute: K(0) is the share of photons through the entrance pupil that is counted; nothing is renormalized.
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
-use super::kernel_build::basis_weights;
+use super::kernel_build::{basis_weights, displacement};
 use super::lowrank::{add, reduce};
 use super::padua::FieldNodes;
 use super::polar::PolarShape;
@@ -105,6 +105,8 @@ pub(super) struct Head {
     pub(super) basis_error: f64,
     /// Mean over the field nodes of the apodized share of the pupil's light.
     pub(super) throughput: f64,
+    /// `[field node]`: where images stand, from the chief ray at the reference wavelength, µm.
+    pub(super) anchors: Vec<DVec2>,
     /// `[wavelength]`, mean over the field nodes.
     pub(super) paths: Vec<Paths>,
 }
@@ -226,6 +228,18 @@ impl Kernels {
         made
     }
 
+    /// The place (µm) whose image, where its light is, lies at a place of the retina; and how it changes with that.
+    pub fn source_um(&self, um: DVec2) -> (DVec2, DMat2) {
+        let mut source = um;
+        let mut slope = DMat2::ZERO;
+        // The displacement changes by some per cent of the distance: three steps are exact to 1e-5 of it.
+        for _ in 0..3 {
+            let (displaced, changes) = displacement(&self.field, &self.head.anchors, source);
+            (source, slope) = (um - displaced, changes);
+        }
+        (source, (DMat2::IDENTITY + slope).inverse())
+    }
+
     /// Shape of the tables.
     pub fn shape(&self) -> PolarShape {
         self.head.shape
@@ -306,6 +320,9 @@ impl Kernels {
         };
         if head.paths.len() != head.spec.nodes_nm.len() {
             return Err("its paths do not fit its wavelengths".into());
+        }
+        if head.anchors.len() != head.spec.field().points().len() {
+            return Err("its displacements do not fit its field".into());
         }
         let fits = head.kinds.len() == KINDS.len() && head.kinds.iter().enumerate().all(fits);
         if !fits || expected != Some(numbers.len()) || samples == 0 {

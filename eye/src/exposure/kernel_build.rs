@@ -1,6 +1,7 @@
 //! Building the kernels of a scene: wavefronts at the points of the field, their transfer functions, the light that each lets
 //! in, spectral weights, what a cone collects of them ([`super::around`]), and the low-rank basis.
 
+use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 
@@ -12,9 +13,10 @@ use super::kernel::{
     TABLE_TOLERANCE, Tables, UM_PER_TANGENT,
 };
 use super::lowrank::{add, modes, reduce};
+use super::padua::FieldNodes;
 use super::polar::PolarShape;
 use super::spectral::{ARRIVING, KINDS, Paths, Share};
-use super::transfer::{FieldPoint, Transfer, extent, transfer_table};
+use super::transfer::{FieldPoint, Transfer, extent, extent_about_centroid, transfer_table};
 use crate::optics::Projection;
 use crate::optics::beam::nominal_mm2;
 use crate::psf::{FieldTable, Wavefront};
@@ -81,6 +83,17 @@ impl KernelSpec {
             .par_iter()
             .map(|point| field.wavefronts(point, &self.nodes_nm, rho))
             .collect::<Result<_, String>>()?;
+        // Images stand where their light is, so that kernels change little over the field.
+        let anchors = self.anchors(&points, &wavefronts)?;
+        let nodes = self.field();
+        let points: Vec<FieldPoint> = points
+            .into_iter()
+            .zip(&anchors)
+            .map(|(point, anchor)| {
+                let (_, slope) = displacement(&nodes, &anchors, point.landing_um);
+                point.anchored(*anchor, slope)
+            })
+            .collect();
         let jobs: Vec<(&FieldPoint, &Wavefront)> =
             points.iter().zip(&wavefronts).flat_map(|(p, waves)| waves.iter().map(move |w| (p, w))).collect();
         let shape = self.shape_for(&jobs)?;
@@ -108,6 +121,7 @@ impl KernelSpec {
                 ranks,
                 basis_error,
                 throughput,
+                anchors,
                 paths: self.mean_paths(&paths),
             },
             field: self.field(),
@@ -164,10 +178,29 @@ impl KernelSpec {
         let mut cycles = [0.0_f64; 2];
         for ((point, wavefront), caught) in jobs.iter().zip(caught.iter().cycle()) {
             // The error is proportional to the catch and to the sixth power of the cycles.
-            let [blur, shift] = extent(point, wavefront).map(|e| e * self.band * caught.powf(1.0 / 6.0));
+            let [blur, shift] = extent_about_centroid(point, wavefront).map(|e| e * self.band * caught.powf(1.0 / 6.0));
             cycles = [cycles[0].max(blur), cycles[1].max(shift)];
         }
         Ok(PolarShape::for_cycles(self.band, cycles, TABLE_TOLERANCE * self.tolerance))
+    }
+
+    /// `[field point]`: displacement of the light's centroid from the chief ray at the reference wavelength, µm, over what L, M and S
+    /// cones catch of all primaries.
+    fn anchors(&self, points: &[FieldPoint], wavefronts: &[Vec<Wavefront>]) -> Result<Vec<DVec2>, String> {
+        let absorbers = self.absorbers()?;
+        let paths = Paths { cornea: 1.0, lens: 1.0 };
+        let mut caught = vec![0.0; self.nodes_nm.len()];
+        for (primary, kind) in self.shares().iter().flat_map(|p| (0..ARRIVING).map(move |kind| (p, kind))) {
+            let weights = absorbers.weights(primary, &self.nodes_nm, KINDS[kind], self.ecc_deg[1], paths);
+            caught.iter_mut().zip(weights).for_each(|(c, w)| *c += SHARES[kind] * w);
+        }
+        let total: f64 = caught.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        let of_point = |(point, waves): (&FieldPoint, &Vec<Wavefront>)| {
+            let to_chart = point.chart_from_tangents();
+            let of_wave = |w: &Wavefront| w.landing_um - point.landing_um + to_chart * w.centroid_um();
+            waves.iter().zip(&caught).map(|(w, c)| *c / total * of_wave(w)).sum()
+        };
+        Ok(points.par_iter().zip(wavefronts).map(of_point).collect())
     }
 
     /// Spectral modes: how each kind of cone at each eccentricity weighs wavelengths is `Σ_s mixture[kind, ecc][s] mode_s`, a mode
@@ -267,6 +300,13 @@ impl KernelSpec {
         let tables = [&counted, &arriving].map(|basis| basis.kernels.iter().map(split).collect());
         (kinds, tables, error)
     }
+}
+
+/// The displacement of images at a place of the retina (µm), and how it changes there, from those at the points of the field.
+pub(super) fn displacement(nodes: &FieldNodes, anchors: &[DVec2], um: DVec2) -> (DVec2, DMat2) {
+    let at = nodes.weights(um).iter().zip(anchors).map(|(w, a)| *w * *a).sum();
+    let by = |axis: usize| nodes.slopes(um).iter().zip(anchors).map(|(s, a)| s.first[axis] * *a).sum();
+    (at, DMat2::from_cols(by(0), by(1)))
 }
 
 /// Weights of the samples in the basis: `dν/ν` times the aperture's transform squared, and the mean.

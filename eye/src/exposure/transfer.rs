@@ -32,6 +32,8 @@ pub struct FieldPoint {
     pub object: Object,
     /// Landing point at the reference wavelength, µm.
     pub landing_um: DVec2,
+    /// Displacement from there of what stands for the image, µm.
+    anchor_um: DVec2,
     /// Frequencies on the retina (cycles/µm along its local tangents) from frequencies on the screen (cycles per unit tangent).
     pub frequency_map: DMat2,
     /// Screen tangents per µm of retinal coordinates.
@@ -72,9 +74,23 @@ impl FieldPoint {
             tangent,
             object: projection.object(tangent),
             landing_um: um,
+            anchor_um: DVec2::ZERO,
             frequency_map: (local * jacobian).inverse().transpose(),
             tangent_from_um: jacobian.inverse(),
         })
+    }
+
+    /// The same with images displaced by `um`, which changes over the retina by `slope`: the screen is mapped to displaced images.
+    #[must_use]
+    pub fn anchored(self, um: DVec2, slope: DMat2) -> Self {
+        let local = self.frequency_map.transpose().inverse() * self.tangent_from_um;
+        let jacobian = (DMat2::IDENTITY + slope) * self.tangent_from_um.inverse();
+        Self {
+            anchor_um: um,
+            frequency_map: (local * jacobian).inverse().transpose(),
+            tangent_from_um: jacobian.inverse(),
+            ..self
+        }
     }
 
     /// A step on the chart from a step along the retina's tangents, µm.
@@ -84,7 +100,7 @@ impl FieldPoint {
 
     /// Where a wavefront's chief ray lands, from that of the reference wavelength, as a shift of the screen (unit tangents).
     fn shift(&self, wavefront: &Wavefront) -> DVec2 {
-        self.tangent_from_um * (wavefront.landing_um - self.landing_um)
+        self.tangent_from_um * (wavefront.landing_um - self.landing_um - self.anchor_um)
     }
 }
 
@@ -141,6 +157,15 @@ pub fn wavefront_options(rho10_per_mm2: f64) -> WavefrontOptions {
 pub fn extent(point: &FieldPoint, wavefront: &Wavefront) -> [f64; 2] {
     let spot = point.frequency_map.transpose() * DVec2::splat(spot_radius_um(wavefront) / 2.0_f64.sqrt());
     [spot.length(), point.shift(wavefront).length()]
+}
+
+/// The same about the centroid of the light: radius of the geometric PSF and distance from the anchor of images.
+pub fn extent_about_centroid(point: &FieldPoint, wavefront: &Wavefront) -> [f64; 2] {
+    let (to_cosines, centroid) = (wavefront.axes.inverse().transpose(), wavefront.centroid_um());
+    let radius = slopes(wavefront).map(|g| (to_cosines * g - centroid).length()).fold(0.0, f64::max);
+    let spot = point.frequency_map.transpose() * DVec2::splat(radius / 2.0_f64.sqrt());
+    let moved = point.tangent_from_um * (point.chart_from_tangents() * centroid);
+    [spot.length(), (point.shift(wavefront) + moved).length()]
 }
 
 /// The transfer table of a field point at a wavelength.

@@ -37,6 +37,8 @@ const MOST_SAMPLES: usize = 2048;
 /// Samples from which a PSF comes from a fast transform of so many points across the pupil, at least.
 const FAST_FROM: usize = 448;
 const ACROSS: usize = 512;
+/// One of so many wavelengths is traced for what differs between source points.
+const SPARSE: usize = 2;
 /// Points of a polynomial on either side.
 const REACH: usize = 3;
 /// Samples beyond the offsets asked for that are read: polynomials, and the bend of the image between corners.
@@ -116,10 +118,10 @@ impl Collection {
             emitters.iter().map(one).collect()
         };
         let spreads = weigh(&own, optics.step_nm);
-        // Source points beside it, at every second wavelength: what is different there.
+        // Source points beside it, at fewer wavelengths: what is different there.
         let stencil = Stencil::new(usual_spot_um(&waves) / local.um_per_tangent());
-        let coarse = own.every_second(optics.step_nm);
-        let coarse_step = 2.0 * optics.step_nm;
+        let coarse = own.every(SPARSE, optics.step_nm);
+        let coarse_step = SPARSE as f64 * optics.step_nm;
         let base = weigh(&coarse, coarse_step);
         let difference = |offset: &DVec2| -> Result<Vec<Spread>, String> {
             let source = FieldPoint::at_tangent(optics.projection, point.tangent + *offset)?;
@@ -256,13 +258,13 @@ fn lagrange(t: f64) -> [f64; 2 * REACH] {
 }
 
 impl Images {
-    /// Every second wavelength of each stretch of light and its ends, for a doubled spacing.
-    fn every_second(&self, step_nm: f64) -> Self {
+    /// Every so many wavelengths of each stretch of light and its ends.
+    fn every(&self, step: usize, step_nm: f64) -> Self {
         let joined = |i: usize| self.nodes_nm[i + 1] - self.nodes_nm[i] <= step_nm * (1.0 + 1e-9);
         let (mut kept, mut first) = (Vec::new(), 0);
         for i in 0..self.nodes_nm.len() {
             let last = i + 1 == self.nodes_nm.len() || !joined(i);
-            if (i - first).is_multiple_of(2) || last {
+            if (i - first).is_multiple_of(step) || last {
                 kept.push(i);
             }
             if last {

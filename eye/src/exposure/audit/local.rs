@@ -11,8 +11,8 @@ use super::collection::Optics;
 const STEP: f64 = 2e-3;
 /// Offsets up to which light and image are taken to second order, unit tangents (1.7°).
 const NEAR: f64 = 0.03;
-/// Largest geometric spot over which PSFs change in proportion to the place, radius in unit tangents (12 µm).
-const LINEAR: f64 = 7e-4;
+/// Largest geometric spot over which PSFs change in proportion to the place, radius in unit tangents (25 µm).
+const LINEAR: f64 = 1.5e-3;
 /// Distance of the source points beside a cone's own place over the radius of the geometric spot, and its range, unit tangents.
 const PART: f64 = 0.5;
 const RANGE: [f64; 2] = [4e-4, 4e-3];
