@@ -4,9 +4,11 @@
 
 mod support;
 
+use glam::DVec2;
 use photoneye_eye::display::{Channel, Display, EmissionLaw, Levels, Panel, Waveform, White, emitters};
 use photoneye_eye::experiment::{Experiment, Gaze, Movement, Pattern};
 use photoneye_eye::exposure::{FrameCounts, cone_columns};
+use photoneye_eye::optics::{Dispersion, EyeState, Prescription, Projection, SchematicEye, Side};
 use photoneye_eye::spectrum::Spectrum;
 use photoneye_eye::video::{Picture, draw};
 use support::{WHITE, cached_exposure as exposure, cached_retina as retina, figure_12, primary};
@@ -182,9 +184,7 @@ fn a_spot_adds_its_variance() {
     assert!((grown / 0.36 - 1.0).abs() < 0.05, "{grown}");
 }
 
-/// Photons into the pupil from one pixel of a large flat screen, against an integral over the pupil by rays. The pupil faces along the
-/// optical axis, 5° to the right of a right eye's line of sight. Directions are taken from the corneal apex, 3 mm before the pupil: at
-/// 10 m that is 0.1 % at 60°.
+/// Photons into the pupil from one pixel of a large flat screen, against the beam that passes the real stop from the pixel's middle.
 #[test]
 fn flat_screens_are_seen_by_ray_geometry() {
     let pupil = |at_px: [u32; 2], emission_law: EmissionLaw| {
@@ -202,28 +202,26 @@ fn flat_screens_are_seen_by_ray_geometry() {
         let budget = exposure(&experiment).frame(0, None).unwrap().budget;
         budget.into_pupil() / budget.emitted
     };
+    // Light of a point of the screen (cm from its middle) into the beam that passes the real stop.
+    let preset = Prescription::preset("escudero-sanz-navarro").unwrap();
+    let state = EyeState {
+        pupil_mm: 3.0,
+        decentre_mm: 0.4,
+        accommodation_a: 0.0,
+        dispersion: Dispersion::Herzberger,
+        side: Side::Right,
+    };
+    let eye = SchematicEye::new(&preset, &state).unwrap();
+    let projection = Projection::new(&eye, 10_000.0).unwrap();
     let by_rays = |[x, y]: [f64; 2], law: EmissionLaw| {
-        let (sin, cos) = 5_f64.to_radians().sin_cos();
-        // Viewer's axes: x right, y up, z to the screen. Pupil axes: across, up, along the optical axis.
-        let (across, along) = ([cos, 0.0, -sin], [sin, 0.0, cos]);
-        let n = 40;
-        let mut sum = 0.0;
-        for i in 0..n * n {
-            let r = 0.15 * ((f64::from(i / n) + 0.5) / f64::from(n)).sqrt();
-            let turn = std::f64::consts::TAU * (f64::from(i % n) + 0.5) / f64::from(n);
-            let point: [f64; 3] = std::array::from_fn(|k| {
-                r * turn.cos() * across[k] + if k == 1 { r * turn.sin() } else { 0.0 }
-            });
-            let ray = [x - point[0], y - point[1], 1000.304 - point[2]];
-            let length = ray.iter().map(|v| v * v).sum::<f64>().sqrt();
-            let on_pupil = ray.iter().zip(along).map(|(a, b)| a * b).sum::<f64>() / length;
-            let radiated = match law {
-                EmissionLaw::Lambertian => ray[2] / length / std::f64::consts::PI,
-                EmissionLaw::Uniform => 1.0 / std::f64::consts::TAU,
-            };
-            sum += radiated * on_pupil / (length * length);
-        }
-        sum / f64::from(n * n) * std::f64::consts::PI * 0.15 * 0.15
+        let tangent = DVec2::new(x, y) / 1000.0;
+        let beam = eye.beam_mm2(projection.object(tangent), 543.0).unwrap();
+        let cos = 1.0 / 1.0_f64.hypot(tangent.length());
+        let radiated = match law {
+            EmissionLaw::Lambertian => cos / std::f64::consts::PI,
+            EmissionLaw::Uniform => 1.0 / std::f64::consts::TAU,
+        };
+        radiated * beam * (cos / 10_000.0).powi(2)
     };
     for law in [EmissionLaw::Lambertian, EmissionLaw::Uniform] {
         // The middle is exact by definition: the pupil's area is that seen along the line of sight.

@@ -141,13 +141,15 @@ impl Around {
         let Scratch { sum, inner, outer } = scratch;
         // (M_x M_x, M_y M_y, M_x M_y), one after the other.
         for (part, axes) in [[0, 0], [1, 1], [0, 1]].into_iter().enumerate() {
-            if part != 2 {
+            // M_x K is there from the first part when the last one asks for it again.
+            if part == 2 {
+                std::mem::swap(sum, inner);
+            } else {
                 inner.fill(Complex64::ZERO);
                 shape.add_moment(kernel, axes[0], inner);
-            } else {
-                sum.fill(Complex64::ZERO);
-                shape.add_moment(kernel, 0, sum);
-                std::mem::swap(sum, inner);
+                if part == 0 {
+                    sum.copy_from_slice(inner);
+                }
             }
             outer.fill(Complex64::ZERO);
             shape.add_moment(inner, axes[1], outer);

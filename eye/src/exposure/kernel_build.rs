@@ -12,7 +12,7 @@ use super::kernel::{
     APERTURE_UM, ARRIVING_TOLERANCE, Head, KernelSpec, Kernels, KindBasis, MEAN_WEIGHT, PlaceKernels, SHARES,
     TABLE_TOLERANCE, Tables, UM_PER_TANGENT,
 };
-use super::lowrank::{add, modes, reduce};
+use super::lowrank::{Modes, add, modes, reduce};
 use super::padua::FieldNodes;
 use super::polar::PolarShape;
 use super::spectral::{ARRIVING, KINDS, Paths, Share};
@@ -22,7 +22,7 @@ use crate::optics::beam::nominal_mm2;
 use crate::psf::{FieldTable, Wavefront};
 
 /// Error of the spectral modes over that of the basis.
-const MODES: f64 = 0.3;
+const MODES: f64 = 0.15;
 /// Transfer tables that are made before they are added up.
 pub const BLOCK: usize = 32;
 
@@ -106,7 +106,7 @@ impl KernelSpec {
         let media = self.absorbers()?.media;
         let paths: Vec<Paths> = jobs.iter().map(|(_, w)| Paths::new(w, &media)).collect();
         // What cones do with the wavelengths is a mixture of few modes; each has a kernel for sources at every point.
-        let (mixtures, modes) = self.modes(points.len(), &paths)?;
+        let Modes { mixtures, modes } = self.modes(points.len(), &paths)?;
         let (kernels, throughput) = self.kernels_by_mode(&jobs, &factors, &modes, shape);
         let blur = |(p, w): &(&FieldPoint, &Wavefront)| extent(p, w)[0];
         let spot = jobs.iter().map(blur).fold(0.0, f64::max);
@@ -178,7 +178,8 @@ impl KernelSpec {
         let mut cycles = [0.0_f64; 2];
         for ((point, wavefront), caught) in jobs.iter().zip(caught.iter().cycle()) {
             // The error is proportional to the catch and to the sixth power of the cycles.
-            let [blur, shift] = extent_about_centroid(point, wavefront).map(|e| e * self.band * caught.powf(1.0 / 6.0));
+            let [blur, shift] =
+                extent_about_centroid(point, wavefront).map(|e| e * self.band * caught.powf(1.0 / 6.0));
             cycles = [cycles[0].max(blur), cycles[1].max(shift)];
         }
         Ok(PolarShape::for_cycles(self.band, cycles, TABLE_TOLERANCE * self.tolerance))
@@ -205,7 +206,7 @@ impl KernelSpec {
 
     /// Spectral modes: how each kind of cone at each eccentricity weighs wavelengths is `Σ_s mixture[kind, ecc][s] mode_s`, a mode
     /// being weights `[field point][primary][wavelength]`, one after the other.
-    fn modes(&self, points: usize, paths: &[Paths]) -> Result<(Vec<Vec<f64>>, Vec<Vec<f64>>), String> {
+    fn modes(&self, points: usize, paths: &[Paths]) -> Result<Modes, String> {
         let absorbers = self.absorbers()?;
         let kinks_nm = self.prescription.kinks_nm(self.state.dispersion);
         let nodes = (self.nodes_nm.as_slice(), kinks_nm.as_slice());

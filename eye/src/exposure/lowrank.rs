@@ -42,9 +42,18 @@ const FAINT: f64 = 1e-3;
 /// A direction with less than this fraction of the largest square is a rounding error.
 const DEPENDENT: f64 = 1e-13;
 
+/// Rows of numbers as mixtures of few.
+#[derive(Clone, Debug)]
+pub struct Modes {
+    /// `[row][mode]`.
+    pub mixtures: Vec<Vec<f64>>,
+    /// `[mode][number]`.
+    pub modes: Vec<Vec<f64>>,
+}
+
 /// Few rows of numbers of which many are mixtures: `rows[a] ≈ Σ_s mixture[a][s] mode[s]`, with a relative error of at most about
 /// `tolerance` of each row's own norm (faint rows: of a thousandth of the largest).
-pub fn modes(rows: &[Vec<f64>], tolerance: f64) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
+pub fn modes(rows: &[Vec<f64>], tolerance: f64) -> Modes {
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let norms: Vec<f64> = rows.iter().map(|row| product(row, row).sqrt()).collect();
     let least = (FAINT * norms.iter().copied().fold(0.0, f64::max)).max(f64::MIN_POSITIVE);
@@ -61,7 +70,7 @@ pub fn modes(rows: &[Vec<f64>], tolerance: f64) -> (Vec<Vec<f64>>, Vec<Vec<f64>>
         sum
     };
     let mixture = |a: usize| order.iter().map(|&column| norms[a] * vectors[a][column]).collect();
-    ((0..n).map(mixture).collect(), order.iter().map(mode).collect())
+    Modes { mixtures: (0..n).map(mixture).collect(), modes: order.iter().map(mode).collect() }
 }
 
 /// Fewer kernels for those that are mixtures of others.
@@ -209,7 +218,7 @@ mod tests {
             (0..200).map(at).collect()
         };
         let rows: Vec<Vec<f64>> = (0..12).map(row).collect();
-        let (mixtures, modes) = modes(&rows, 1e-6);
+        let Modes { mixtures, modes } = modes(&rows, 1e-6);
         assert_eq!(modes.len(), 3);
         for (row, mixture) in rows.iter().zip(&mixtures) {
             for (i, exact) in row.iter().enumerate() {

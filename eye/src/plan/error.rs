@@ -84,13 +84,15 @@ fn copies(experiment: &Experiment, scene: &Scene) -> f64 {
 }
 
 /// Error of interpolation over the field: over n points it gains the n-th power of the step per point in degrees.
-pub fn field_part(tiles: &[PlannedTile]) -> f64 {
+pub fn field_part(tiles: &[PlannedTile], pupil_mm: f64) -> f64 {
+    let pupil = (pupil_mm / 3.0).max(1.0);
     let field = |tile: &PlannedTile| {
         let nodes = tile.kernels.field_nodes.max(1);
         let step = super::half_side_deg(&tile.region) / f64::from(nodes);
         FIELD[nodes.min(3) as usize - 1] * step.powi(nodes as i32).min(1.0)
     };
-    tiles.iter().map(field).fold(0.0, f64::max)
+    // Aberrations grow faster than the pupil.
+    pupil * pupil * tiles.iter().map(field).fold(0.0, f64::max)
 }
 
 /// What the frequencies that are left out may change at most; on an evenly lit picture it is a part of it.
@@ -135,7 +137,7 @@ pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wa
         part("optics quadrature", OPTICS * pupil.powi(3)),
         part("wavelength steps", STEP_10_NM * steps * pupil),
         part("wavelengths left out", wavelengths.outside),
-        part("field interpolation", field_part(tiles)),
+        part("field interpolation", field_part(tiles, experiment.eye.pupil_mm)),
         part("low-rank kernels", basis_part(experiment)),
         part("period", copies_part(experiment, tiles)),
         part("band limit", if limited { BAND * band_bound(experiment) } else { 1e-7 }),

@@ -304,6 +304,9 @@ fn half_side_deg(tile: &RegionUm) -> f64 {
     0.5 * (tile.max - tile.min).max_element() / setup::UM_PER_TANGENT * 180.0 / std::f64::consts::PI
 }
 
+/// Pupil beyond which the field takes one point a side more, mm. One lit pixel of one wavelength at 6 mm with three and four: 9.6e-4 and 8e-4.
+const LARGE_PUPIL_MM: f64 = 4.5;
+
 /// Points along each side of a tile at which the optics are computed.
 fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> u32 {
     if let Some(nodes) = experiment.counts.knobs.field_nodes {
@@ -315,7 +318,9 @@ fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> u32 {
         half if half < 0.9 => 2,
         _ => 3,
     };
-    (nodes + Numerics::new(experiment).finer_field).max(1) as u32
+    // Behind a large pupil PSFs change faster over the field, and spread farther.
+    let large = i32::from(experiment.eye.pupil_mm > LARGE_PUPIL_MM);
+    (nodes + large + Numerics::new(experiment).finer_field).max(1) as u32
 }
 
 /// Part of the cones' pigment that is not bleached.

@@ -77,7 +77,7 @@ pub struct Numerics {
 const WAVELENGTH_TAIL: f64 = 0.01;
 /// Error of the low-rank basis in its own norm, per accuracy target. At 1e-3 (squares of one pixel, one lit pixel): 0.1 leaves an L1 of
 /// 1.0e-4 and 2.3e-4 with 16 images, 0.6 5.3e-4 and 3.9e-4 with 12, 1.0 6.1e-4 and 1.4e-3 with 10. With more points of the field 0.6 left up to 2e-3 of one lit pixel, 0.45 4e-4.
-const BASIS_SHARE: f64 = 0.45;
+const BASIS_SHARE: f64 = 0.4;
 /// The same for one lit pixel: the basis' error is a mean over places, and the light is at one of them. At 1e-3 on 6 x 6 to 60 x 60 pixels 0.45
 /// leaves 1.0e-3 to 1.5e-3, 0.2 4e-4 to 7e-4 (60 x 60: 1.1e-3).
 const BASIS_SHARE_OF_A_POINT: f64 = 0.2;

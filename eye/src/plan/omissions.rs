@@ -115,7 +115,7 @@ fn dark_wavelengths(look: &Look) -> Option<Omission> {
 fn field_nodes(look: &Look) -> Option<Omission> {
     let most = look.tiles.iter().map(|t| t.kernels.field_nodes).max()?;
     let why = format!("over a tile the optics change little: {most} points along each side");
-    Some(omission("points of the field", &why, error::field_part(look.tiles)))
+    Some(omission("points of the field", &why, error::field_part(look.tiles, look.experiment.eye.pupil_mm)))
 }
 
 fn coarse_grids(look: &Look) -> Option<Omission> {

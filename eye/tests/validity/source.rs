@@ -25,7 +25,7 @@ use photoneye_eye::spectrum::Spectrum;
 use photoneye_eye::video::draw;
 use rayon::prelude::*;
 
-use crate::support::{WHITE, build, figure_12, primary};
+use crate::support::{build, figure_12, primary};
 
 const NM: f64 = 543.0;
 /// Step of the Jacobians, stop radii.
@@ -38,7 +38,7 @@ pub fn scene(pattern: Pattern, pupil_mm: f64, ecc_deg: f64, target: f64) -> Expe
     experiment.display.primaries[0].rects = vec![[0.0, 0.0, 1.0, 1.0]];
     let eye = &mut experiment.eye;
     eye.pupil_mm = pupil_mm;
-    (eye.lens_density_scale, eye.macular_peak_density) = (0.0, 0.0);
+    (eye.lens_density_scale, eye.cornea_density_scale, eye.macular_peak_density) = (0.0, 0.0, 0.0);
     (eye.stiles_crawford_rho10_per_mm2, eye.pointing_sd_deg) = (0.0, 0.0);
     let per_px = experiment.display.pixel_pitch_cm / experiment.display.distance_cm;
     experiment.gaze = Gaze::still([15.0 + ecc_deg.to_radians().tan() / per_px, 15.0]);
@@ -141,14 +141,14 @@ impl Prepared {
         }
         points
     }
+}
 
-    /// The brightest cones.
-    pub fn brightest(&self, means: &[f64], count: usize) -> Vec<usize> {
-        let mut order: Vec<usize> = (0..means.len()).collect();
-        order.sort_by(|a, b| means[*b].total_cmp(&means[*a]));
-        order.truncate(count);
-        order
-    }
+/// The brightest cones.
+fn brightest(means: &[f64], count: usize) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..means.len()).collect();
+    order.sort_by(|a, b| means[*b].total_cmp(&means[*a]));
+    order.truncate(count);
+    order
 }
 
 /// Radon's rule of degree 5 on a triangle: points and weights that sum to 1.
@@ -269,128 +269,95 @@ fn letter() -> Pattern {
     })
 }
 
-/// What is measured with `-- --ignored --nocapture`: one lit pixel, an edge, a checkerboard of 10 pixels and a letter, pupils of
-/// 3 to 8 mm, at the fovea, 10° and 20°.
-fn one_pixel(pupil_mm: f64, ecc_deg: f64, target: f64, nodes: usize) -> (f64, f64) {
-    let mut experiment = scene(POINT, pupil_mm, ecc_deg, target);
-    experiment.audit_cones = 6;
-    let prepared = Prepared::new(&experiment);
+/// L1 difference of the brightest cones from the reference, one lit pixel.
+fn one_pixel(pupil_mm: f64, ecc_deg: f64, cones: usize, nodes: usize) -> f64 {
+    let prepared = Prepared::new(&scene(POINT, pupil_mm, ecc_deg, 1e-3));
     let means = prepared.means();
-    let bright = prepared.brightest(&means, 25);
+    let bright = brightest(&means, cones);
     let reference = prepared.reference(&bright, nodes, rings(pupil_mm));
     let made: Vec<f64> = bright.iter().map(|i| means[*i]).collect();
-    let found = compare(&made, &reference);
-    if std::env::var_os("SHOW").is_some() {
-        let centre = |values: &[f64]| {
-            let sum = bright.iter().zip(values).map(|(i, m)| *m * prepared.retina.center(*i)).sum::<DVec2>();
-            sum / values.iter().sum::<f64>()
-        };
-        println!("centroid {} reference {}", centre(&made), centre(&reference));
-        for (i, (m, r)) in bright.iter().zip(made.iter().zip(&reference)) {
-            println!("{} {m:.5} {r:.5} {:+.2e}", prepared.retina.center(*i), m / r - 1.0);
-        }
-        for s in prepared.exposure.audit(0, None, &[], &prepared.exposure.frame(0, None).unwrap()).unwrap() {
-            let i = prepared.retina.id.iter().position(|id| *id == s.cone).unwrap();
-            let r = prepared.reference(&[i], nodes, rings(pupil_mm))[0];
-            println!(
-                "audited {}: engine {:.5} audit {:.5} reference {r:.5}",
-                prepared.retina.center(i),
-                s.value,
-                s.reference
-            );
-        }
-    }
-    let frame = prepared.exposure.frame(0, None).unwrap();
-    let samples = prepared.exposure.audit(0, None, &[], &frame).unwrap();
-    let audit = verdict(&samples, false).unwrap();
-    let estimate: f64 = prepared.plan.error_estimate.iter().map(|p| p.relative).sum();
-    println!(
-        "one pixel, {pupil_mm} mm, {ecc_deg}°: L1 {:.1e}, sum {:+.1e}; audit {:.1e} (bound {:.1e}), estimate {estimate:.1e}",
-        found.0,
-        found.1,
-        audit.relative_error,
-        audit.bound_95.unwrap_or(f64::NAN)
-    );
-    found
+    let (l1, sum) = compare(&made, &reference);
+    println!("one pixel, {pupil_mm} mm, {ecc_deg}°: L1 {l1:.1e}, sum {sum:+.1e}");
+    l1
 }
 
 #[test]
 fn one_lit_pixel_at_three_millimetres() {
-    for ecc_deg in [0.0, 10.0] {
-        let found = one_pixel(3.0, ecc_deg, 1e-3, 12);
-        assert!(found.0 < 1e-3, "{ecc_deg}: {found:?}");
-    }
+    let found = one_pixel(3.0, 0.0, 12, 12);
+    assert!(found < 1e-3, "{found}");
 }
 
+/// Every pupil and eccentricity of the acceptance; PUPIL in the environment takes one pupil.
 #[test]
-#[ignore = "some minutes"]
+#[ignore = "an hour; a pupil of 3 mm some minutes"]
 fn one_lit_pixel_behind_all_pupils() {
-    let mut worst = 0.0_f64;
     let only = std::env::var("PUPIL").ok().and_then(|p| p.parse::<f64>().ok());
     for pupil_mm in [3.0, 4.0, 6.0, 8.0].into_iter().filter(|p| only.is_none_or(|o| (o - p).abs() < 0.1)) {
         for ecc_deg in [0.0, 10.0, 20.0] {
-            worst = worst.max(one_pixel(pupil_mm, ecc_deg, 1e-3, 8).0);
+            let found = one_pixel(pupil_mm, ecc_deg, 25, 20);
+            assert!(found < 1e-3, "{pupil_mm} {ecc_deg}: {found}");
         }
     }
-    assert!(worst < 1e-3, "{worst}");
 }
 
-/// Audited cones that are lit, against the reference: PUPIL, ECC, NODES, RINGS and CONES in the environment.
+/// The audit against the reference on the lit cones that it drew: PUPIL, ECC, CONES, NODES and RINGS in the environment.
 #[test]
-#[ignore = "some minutes a case"]
+#[ignore = "some minutes"]
 fn audited_cones_against_the_reference() {
     let get = |name: &str, or: f64| std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(or);
     let (pupil_mm, ecc_deg) = (get("PUPIL", 6.0), get("ECC", 0.0));
-    let pattern = match std::env::var("PATTERN").as_deref() {
-        Ok("white") => WHITE,
-        Ok("squares") => Pattern::Checkerboard { square_px: 1 },
-        Ok("checks") => Pattern::Checkerboard { square_px: 10 },
-        Ok("letter") => letter(),
-        _ => POINT,
-    };
-    let target = get("TARGET", 1e-3);
-    let mut experiment = scene(pattern.clone(), pupil_mm, ecc_deg, target);
-    if std::env::var_os("WHITE").is_some() {
-        let gaze = experiment.gaze.clone();
-        experiment = figure_12(pattern);
-        (experiment.gaze, experiment.accuracy_target, experiment.eye.pupil_mm) = (gaze, target, pupil_mm);
-        experiment.counts.poisson = false;
-    }
+    let mut experiment = scene(POINT, pupil_mm, ecc_deg, 1e-3);
     experiment.audit_cones = get("CONES", 16.0) as u32;
-    let knob = |name: &str| std::env::var(name).ok().and_then(|v| v.parse::<f64>().ok());
-    let knobs = &mut experiment.counts.knobs;
-    knobs.field_nodes = knob("FIELD").map(|v| v as u32);
-    knobs.basis_tolerance = knob("BASIS");
-    knobs.band_loss = knob("BAND");
-    knobs.guard_um = knob("GUARD");
-    knobs.spread_width = knob("WIDTH").map(|v| v as u32);
-    knobs.oversampling = knob("OVER");
     let prepared = Prepared::new(&experiment);
     let frame = prepared.exposure.frame(0, None).unwrap();
     let samples = prepared.exposure.audit(0, None, &[], &frame).unwrap();
-    let estimate: f64 = prepared.plan.error_estimate.iter().map(|p| p.relative).sum();
-    println!("{:?}, estimate {estimate:.1e}", verdict(&samples, false));
-    if knob("NODES") == Some(0.0) {
-        for s in samples.iter().filter(|s| s.value > 1.0) {
-            println!("{:.4} {:+.2e}", s.value, s.value / s.reference - 1.0);
-        }
-        return;
-    }
     let most = prepared.means().into_iter().fold(0.0, f64::max);
-    let lit: Vec<_> = samples.iter().filter(|s| s.value > 0.02 * most).collect();
+    let lit: Vec<_> = samples.iter().filter(|s| s.value > 0.1 * most).collect();
     let index = |cone: u64| prepared.retina.id.iter().position(|id| *id == cone).unwrap();
     let cones: Vec<usize> = lit.iter().map(|s| index(s.cone)).collect();
-    let reference = prepared.reference(&cones, get("NODES", 20.0) as usize, get("RINGS", 40.0) as usize);
+    let rings = get("RINGS", rings(pupil_mm) as f64) as usize;
+    let reference = prepared.reference(&cones, get("NODES", 20.0) as usize, rings);
     for (s, r) in lit.iter().zip(&reference) {
-        let at = prepared.retina.center(index(s.cone));
-        println!(
-            "{pupil_mm} mm {ecc_deg}°, {at}: {r:.5}; engine {:+.1e}, audit {:+.1e}",
-            s.value / r - 1.0,
-            s.reference / r - 1.0
-        );
+        println!("{r:10.4}: engine {:+.1e}, audit {:+.1e}", s.value / r - 1.0, s.reference / r - 1.0);
     }
-    let sum: f64 = reference.iter().sum();
-    let l1 =
-        |of: &dyn Fn(usize) -> f64| (0..lit.len()).map(|k| (of(k) - reference[k]).abs()).sum::<f64>() / sum;
-    println!("engine {:.1e}, audit {:.1e}", l1(&|k| lit[k].value), l1(&|k| lit[k].reference));
+    let audited: Vec<f64> = lit.iter().map(|s| s.reference).collect();
+    let made: Vec<f64> = lit.iter().map(|s| s.value).collect();
+    let (engine, audit) = (compare(&made, &reference).0, compare(&audited, &reference).0);
+    println!("{pupil_mm} mm, {ecc_deg}°: engine {engine:.1e}, audit {audit:.1e}");
+    assert!(audit < 1e-3, "{audit}");
+}
+
+/// Audits of pictures behind pupils over the field, one wavelength, target 1e-3: a table of error and estimate. No audit's lower
+/// bound is above the target.
+#[test]
+#[ignore = "some ten minutes"]
+fn targets_are_kept_behind_all_pupils() {
+    let squares = |square_px: u32| Pattern::Checkerboard { square_px };
+    let pictures = [("point", POINT), ("edges", squares(15)), ("checks", squares(10)), ("letter", letter())];
+    let mut missed = Vec::new();
+    for pupil_mm in [2.0, 3.0, 4.0, 6.0, 8.0] {
+        for ecc_deg in [0.0, 10.0, 20.0] {
+            for (name, picture) in pictures.clone() {
+                let experiment = Experiment { audit_cones: 8, ..scene(picture, pupil_mm, ecc_deg, 1e-3) };
+                if let Err(refused) = plan(&experiment) {
+                    println!("{pupil_mm} mm, {ecc_deg:2}°, {name:6}: refused, {refused}");
+                    continue;
+                }
+                let prepared = Prepared::new(&experiment);
+                let frame = prepared.exposure.frame(0, None).unwrap();
+                let samples = prepared.exposure.audit(0, None, &[], &frame).unwrap();
+                let found = verdict(&samples, false).unwrap();
+                let estimate: f64 = prepared.plan.error_estimate.iter().map(|p| p.relative).sum();
+                let error = found.relative_error;
+                println!(
+                    "{pupil_mm} mm, {ecc_deg:2}°, {name:6}: audit {error:.1e}, estimate {estimate:.1e}, ratio {:.2}",
+                    estimate / error
+                );
+                if found.lower_bound_95.unwrap() > 1e-3 {
+                    missed.push((pupil_mm, ecc_deg, name));
+                }
+            }
+        }
+    }
+    assert!(missed.is_empty(), "{missed:?}");
 }

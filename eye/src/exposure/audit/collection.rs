@@ -92,7 +92,7 @@ struct Images {
     nodes_nm: Vec<f64>,
     paths: Vec<Paths>,
     totals: Vec<f64>,
-    images: Vec<Vec<f64>>,
+    psfs: Vec<Vec<f64>>,
 }
 
 impl Collection {
@@ -275,7 +275,7 @@ impl Images {
             nodes_nm: kept.iter().map(|i| self.nodes_nm[*i]).collect(),
             paths: kept.iter().map(|i| self.paths[*i]).collect(),
             totals: kept.iter().map(|i| self.totals[*i]).collect(),
-            images: kept.iter().map(|i| self.images[*i].clone()).collect(),
+            psfs: kept.iter().map(|i| self.psfs[*i].clone()).collect(),
         }
     }
 }
@@ -307,7 +307,7 @@ impl Optics<'_> {
             nodes_nm: waves.iter().map(|w| w.wavelength_nm).collect(),
             paths: waves.iter().map(|w| Paths::new(w, &self.absorbers.media)).collect(),
             totals: waves.iter().map(|w| w.pupil_area_mm2 / beam_mm2 * w.throughput()).collect(),
-            images: waves.par_iter().map(image).collect(),
+            psfs: waves.par_iter().map(image).collect(),
         }
     }
 
@@ -330,7 +330,7 @@ impl Optics<'_> {
         let emitted = emitter.emitted().max(f64::MIN_POSITIVE);
         let mut values = vec![0.0; grid.samples * grid.samples];
         let mut total = 0.0;
-        for ((weight, image), whole) in weights.iter().zip(&images.images).zip(&images.totals) {
+        for ((weight, image), whole) in weights.iter().zip(&images.psfs).zip(&images.totals) {
             let weight = weight / emitted;
             total += weight * whole;
             values.iter_mut().zip(image).for_each(|(sum, v)| *sum += weight * v);
