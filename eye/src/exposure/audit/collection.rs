@@ -4,8 +4,8 @@
 //! Each source point has a PSF of its own. Around a cone at x they are traced at x itself and at a few source points beside it
 //! (two where the geometric spot is small, five elsewhere), and a source at an offset δ on the screen has the PSF
 //! `p(ρ; δ) = p₀(ρ) + Σ_s L_s(δ) [p_s − p₀](ρ)`, L the polynomials of the first or second degree through these points. ρ is the
-//! exact offset `−X(δ)`, X the map of chief rays about x to second order. The differences are taken at every second
-//! wavelength: they are small.
+//! exact offset `−X(δ)`, X the map of chief rays about x to second order. The differences are taken at every fourth
+//! wavelength: they are small. A PSF that is narrow keeps its form and is only displaced: by the traced change of its centroid.
 //!
 //! `p(ρ) = Σ_λ fraction(λ)·caught(λ)·PSF_λ(ρ − shift(λ))` by PSFs at wavelengths of its own, sampled 2.5 times as finely as
 //! their cutoff asks and read by six-point polynomials. Outside of the window a pupil with an edge spreads as `c/|ρ|³`; c is
@@ -13,7 +13,7 @@
 
 use std::f64::consts::SQRT_2;
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 
 use super::super::spectral::{Absorbers, Kind, Paths, paths_at};
@@ -37,8 +37,10 @@ const MOST_SAMPLES: usize = 2048;
 /// Samples from which a PSF comes from a fast transform of so many points across the pupil, at least.
 const FAST_FROM: usize = 448;
 const ACROSS: usize = 512;
+/// Wavelengths at which the displacement of PSFs is traced.
+const DRIFTS: usize = 5;
 /// One of so many wavelengths is traced for what differs between source points.
-const SPARSE: usize = 2;
+const SPARSE: usize = 4;
 /// Points of a polynomial on either side.
 const REACH: usize = 3;
 /// Samples beyond the offsets asked for that are read: polynomials, and the bend of the image between corners.
@@ -84,6 +86,8 @@ pub struct Collection {
     spreads: Vec<Spread>,
     /// `[point beside][primary]`: what that point's PSF has more.
     beside: Vec<Vec<Spread>>,
+    /// By primary: displacement of the PSF (µm) by the offset of its source (unit tangents), where nothing else changes.
+    drift: Vec<DMat2>,
     stencil: Stencil,
 }
 
@@ -118,8 +122,13 @@ impl Collection {
             emitters.iter().map(one).collect()
         };
         let spreads = weigh(&own, optics.step_nm);
-        // Source points beside it, at fewer wavelengths: what is different there.
         let stencil = Stencil::new(usual_spot_um(&waves) / local.um_per_tangent());
+        if stencil.rigid {
+            let drift = optics.drift((&point, stencil.step()), emitters, (kind, ecc_deg))?;
+            let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
+            return Ok(Self { local, grid, inside_um, spreads, beside: Vec::new(), drift, stencil });
+        }
+        // Source points beside it, at fewer wavelengths: what is different there.
         let coarse = own.every(SPARSE, optics.step_nm);
         let coarse_step = SPARSE as f64 * optics.step_nm;
         let base = weigh(&coarse, coarse_step);
@@ -135,7 +144,8 @@ impl Collection {
         };
         let beside = stencil.offsets().iter().map(difference).collect::<Result<_, String>>()?;
         let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
-        Ok(Self { local, grid, inside_um, spreads, beside, stencil })
+        let drift = vec![DMat2::ZERO; emitters.len()];
+        Ok(Self { local, grid, inside_um, spreads, beside, drift, stencil })
     }
 
     /// Half of the window's side, µm.
@@ -210,11 +220,11 @@ impl Collection {
     /// The density, or the fraction, for a source at an offset on the screen (unit tangents) from the cone: of the photons that
     /// would enter the nominal pupil from the gaze centre.
     pub fn at(&self, primary: usize, offset: DVec2) -> f64 {
-        let rho = -self.local.image_um(offset);
+        let rho = -self.local.image_um(offset) - self.drift[primary] * offset;
         let outside = rho.abs().max_element() > self.inside_um;
         let own = self.read(&self.spreads[primary], rho, outside);
         // From afar only the light is another; the PSF's tail hardly changes.
-        let change = if outside {
+        let change = if outside || self.beside.is_empty() {
             0.0
         } else {
             let weights = self.stencil.weights(offset);
@@ -287,6 +297,45 @@ impl Optics<'_> {
         let options = WavefrontOptions { degree, ..wavefront_options(self.rho10_per_mm2) };
         let one = |nm: &f64| Wavefront::new(eye, point.object, *nm, &options).map_err(|e| e.to_string());
         nodes_nm.par_iter().map(one).collect()
+    }
+
+    /// By primary: how the centroid of the PSF moves from the chief ray's landing point at the reference wavelength, µm along the
+    /// retina's tangents by unit tangents of the source, at five wavelengths weighted by what is caught near them.
+    fn drift(
+        &self,
+        (point, step): (&FieldPoint, f64),
+        emitters: &[Emitter],
+        (kind, ecc_deg): (Kind, f64),
+    ) -> Result<Vec<DMat2>, String> {
+        let (Some(first), Some(last)) = (self.nodes_nm.first(), self.nodes_nm.last()) else {
+            return Ok(vec![DMat2::ZERO; emitters.len()]);
+        };
+        let part = |i: usize| first + (last - first) * i as f64 / (DRIFTS - 1) as f64;
+        let mut nodes: Vec<f64> = (0..DRIFTS).map(part).collect();
+        nodes.dedup();
+        let moved = |offset: DVec2| -> Result<Vec<DVec2>, String> {
+            let source = FieldPoint::at_tangent(self.projection, point.tangent + offset)?;
+            let to_tangents = source.chart_from_tangents().inverse();
+            let of_wave = |w: &Wavefront| to_tangents * (w.landing_um - source.landing_um) + w.centroid_um();
+            Ok(self.wavefronts(&source, &nodes)?.iter().map(of_wave).collect())
+        };
+        let (right, left) = (moved(step * DVec2::X)?, moved(-step * DVec2::X)?);
+        let (above, below) = (moved(step * DVec2::Y)?, moved(-step * DVec2::Y)?);
+        let paths = Paths { cornea: 1.0, lens: 1.0 };
+        let of_emitter = |emitter: &Emitter| {
+            let (mut sum, mut total) = (DMat2::ZERO, 0.0);
+            for p in &emitter.photons {
+                let caught = p.emitted * self.absorbers.caught_at(kind, p.nm, ecc_deg, paths);
+                total += caught;
+                // Cubic between the wavelengths that were traced.
+                hats(&nodes, f64::MAX, p.nm, |i, hat| {
+                    let by = DMat2::from_cols(right[i] - left[i], above[i] - below[i]);
+                    sum += by * (caught * hat / (2.0 * step));
+                });
+            }
+            if total > 0.0 { sum * (1.0 / total) } else { DMat2::ZERO }
+        };
+        Ok(emitters.iter().map(of_emitter).collect())
     }
 
     /// PSFs about the image of a source point at the reference wavelength.

@@ -11,8 +11,10 @@ use super::collection::Optics;
 const STEP: f64 = 2e-3;
 /// Offsets up to which light and image are taken to second order, unit tangents (1.7°).
 const NEAR: f64 = 0.03;
-/// Largest geometric spot over which PSFs change in proportion to the place, radius in unit tangents (25 µm).
-const LINEAR: f64 = 1.5e-3;
+/// Largest geometric spot over which PSFs change in proportion to the place, radius in unit tangents (41 µm).
+const LINEAR: f64 = 2.5e-3;
+/// Largest geometric spot that keeps its form over its own width and is displaced only, radius in unit tangents (12 µm).
+const RIGID: f64 = 7e-4;
 /// Distance of the source points beside a cone's own place over the radius of the geometric spot, and its range, unit tangents.
 const PART: f64 = 0.5;
 const RANGE: [f64; 2] = [4e-4, 4e-3];
@@ -96,13 +98,21 @@ fn expanded(f: impl Fn(DVec2) -> f64) -> [f64; 6] {
 /// Source points beside a cone's own place.
 pub struct Stencil {
     step: f64,
+    /// Whether PSFs keep their form.
+    pub rigid: bool,
     quadratic: bool,
 }
 
 impl Stencil {
     /// For the radius of the geometric spot on the screen (unit tangents).
     pub fn new(spot: f64) -> Self {
-        Self { step: (PART * spot).clamp(RANGE[0], RANGE[1]), quadratic: spot > LINEAR }
+        let step = (PART * spot).clamp(RANGE[0], RANGE[1]);
+        Self { step, rigid: spot < RIGID, quadratic: spot > LINEAR }
+    }
+
+    /// Distance of the points, unit tangents.
+    pub fn step(&self) -> f64 {
+        self.step
     }
 
     /// The offsets of the points, unit tangents.
@@ -136,8 +146,8 @@ mod tests {
     #[test]
     fn polynomials_through_the_points() {
         for (spot, f) in [
-            (6e-4, (|p: DVec2| 2.0 * p.x - p.y) as fn(DVec2) -> f64),
-            (2e-3, |p| p.x - 3.0 * p.y + 2.0 * p.x * p.x - p.x * p.y + 0.5 * p.y * p.y),
+            (1e-3, (|p: DVec2| 2.0 * p.x - p.y) as fn(DVec2) -> f64),
+            (3e-3, |p| p.x - 3.0 * p.y + 2.0 * p.x * p.x - p.x * p.y + 0.5 * p.y * p.y),
         ] {
             let stencil = Stencil::new(spot);
             let at = DVec2::new(1.3e-3, -2.1e-3);
