@@ -165,6 +165,15 @@ fn audit_seconds(experiment: &Experiment, tiles: &[PlannedTile]) -> f64 {
     let spreads = (range / 7.0 + 1.0).min(nodes.len() as f64 * 1.5);
     let pupil = (experiment.eye.pupil_mm / 3.0).max(0.7);
     let side = (0.6 + 0.4 * pupil.powi(4)).min(4.0);
+    // Wide PSFs are traced at source points beside the cone, too, at every fourth wavelength.
+    let beside = if experiment.eye.pupil_mm > 7.0 {
+        1.25
+    } else if experiment.eye.pupil_mm > 4.0 {
+        0.5
+    } else {
+        0.0
+    };
+    let spreads = spreads * (1.0 + beside);
     let one = (spreads + 20.0) * SECONDS_PER_TRACE + spreads * SECONDS_PER_AUDITED_SPREAD * side.powi(2);
     f64::from(experiment.audit_cones) * one
 }
@@ -186,7 +195,7 @@ fn kernel_cost(experiment: &Experiment, kernels: &KernelSpec) -> KernelCost {
     let points = f64::from(FieldNodes::count(kernels.field_nodes));
     let transfers = points * kernels.nodes_nm.len() as f64;
     let seconds =
-        transfers * (SECONDS_PER_TRANSFER * (1.0 + 0.05 * pupil.powi(6)) + 1e-7 * shape.len() as f64);
+        transfers * (SECONDS_PER_TRANSFER * (1.0 + 0.05 * pupil.powi(6)) + 1.4e-7 * shape.len() as f64);
     let (primaries, table) = (kernels.primaries.len() as f64, shape.len() as f64 * 16.0);
     // Some tables at a time; one a kind, place and primary.
     let places = KINDS.len() as f64 * points * f64::from(kernels.ecc_nodes) * primaries;
