@@ -6,8 +6,8 @@
 //! centre, e the obliquity factor of the screen and the pupil at the pixel's own place. So light is spread as it
 //! entered: `∫ V dx` over all directions is s of the light in the pupil, wherever it came from.
 //!
-//! V is a sum over light from near by ([`near`], a convolution) and from afar ([`far`], blocks); pixels of any
-//! size are integrated over their rectangles ([`lattice`]).
+//! V is a sum over light from near by (`near`, a convolution) and from afar (`far`, blocks); pixels of any
+//! size are integrated over their rectangles (`lattice`).
 //!
 //! # Accuracy
 //! 1 % of V, of pixels of any size at any distance; see `tests/validity/stray.rs`.
