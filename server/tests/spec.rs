@@ -162,7 +162,11 @@ fn errors_name_the_field_and_what_is_allowed() {
             json!({"cell_walls": "AVERAGING"}),
             "retina.cell_walls: 1 is out of range, allowed is AVERAGING with",
         ),
-        ("retina", json!({"aperture": "ROD"}), "retina.aperture: unknown variant `ROD`, expected one of"),
+        (
+            "retina",
+            json!({"aperture": "ROD"}),
+            "retina.aperture: unknown variant `ROD`, expected `CELL` or `INNER_SEGMENT`",
+        ),
         ("retina", json!({"region_deg": {"x_min": 0}}), "retina.region_deg.x_max: is missing"),
         (
             "retina",
