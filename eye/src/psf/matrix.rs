@@ -21,6 +21,7 @@ use super::quadrature::gauss_legendre;
 use super::sincos::sin_cos_turns;
 use super::wavefront::Wavefront;
 use glam::{DMat2, DVec2};
+use multiversion::multiversion;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
@@ -96,6 +97,10 @@ const LEAST_EPSILON: f64 = 5e-3;
 /// Exponents (a, b) of the moments M_ab; the first is all there is to first order.
 const MOMENTS: [(usize, usize); 6] = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)];
 
+/// Samples that are computed together: across the chords and along them.
+const LANES: usize = 8;
+const LANES_ALONG: usize = 4;
+
 /// One chord of the pupil: its place across and the sums along it at the positive offsets.
 struct Strip {
     turns_per_um: f64,
@@ -138,30 +143,32 @@ impl Curved {
 pub fn psf(w: &Wavefront, grid: &PsfGrid) -> Vec<f64> {
     let n = grid.samples.min(8192);
     let (strips, curved) = strips(w, grid, n.div_ceil(2));
-    let across: Vec<Vec<(f64, f64)>> = strips.iter().map(|s| exponentials(s.turns_per_um, grid, n)).collect();
+    let across = exponentials(&strips, grid, n);
     let norm = w.amplitude_sum * w.axes.determinant().abs();
     let scale = 1.0 / (norm * norm);
     let moments = if curved.is_some() { &MOMENTS[..] } else { &MOMENTS[..1] };
     let (e_i, e_j) = grid.axes_of(w.meridional_angle);
     let centre = DVec2::new(grid.centre_um.dot(e_i), grid.centre_um.dot(e_j));
     let mut out = vec![0.0; n * n];
-    let mut fields = vec![[0.0; 2]; n];
+    let (mut fields, mut moment) = (vec![[0.0; 2]; n], vec![[0.0; 2]; n]);
+    let mut along = Vec::with_capacity(strips.len());
     for (i, row) in out.chunks_exact_mut(n.max(1)).enumerate() {
         // Row i: offset +ξ for the upper half of the rows, −ξ for the lower.
         let upper = 2 * i >= n;
         let h = if upper { i - n / 2 } else { (n - 1 - i) - n / 2 };
         fields.fill([0.0; 2]);
         for (which, &(a, b)) in moments.iter().enumerate() {
-            let along = strips.iter().map(|s| {
+            along.clear();
+            along.extend(strips.iter().map(|s| {
                 let [re, im] = if upper { s.plus[a][h] } else { s.minus[a][h] };
                 let factor = s.across.powi(b as i32);
                 [factor * re, factor * im]
-            });
-            let moment = moment_row(n, along, &across);
+            }));
+            moment_row(&along, &across, &mut moment);
             match &curved {
                 None => fields.copy_from_slice(&moment),
                 Some(curved) => {
-                    for (j, (field, [re, im])) in fields.iter_mut().zip(moment).enumerate() {
+                    for (j, (field, [re, im])) in fields.iter_mut().zip(&moment).enumerate() {
                         let xi = centre + DVec2::new(grid.offset(i), grid.offset(j));
                         let (c, s) = curved.coefficients(xi)[which];
                         field[0] += c * re - s * im;
@@ -175,29 +182,53 @@ pub fn psf(w: &Wavefront, grid: &PsfGrid) -> Vec<f64> {
     out
 }
 
-/// Σ_b G_b exp(−2πi turns_b ξ_j) for a row, each exponential used for +ξ and −ξ.
-fn moment_row(n: usize, fields: impl Iterator<Item = [f64; 2]>, across: &[Vec<(f64, f64)>]) -> Vec<[f64; 2]> {
-    let mut sums = vec![[0.0; 4]; n.div_ceil(2)];
-    for ([re, im], factors) in fields.zip(across) {
-        for (sum, (sin, cos)) in sums.iter_mut().zip(factors) {
-            sum[0] += re * cos;
-            sum[1] += im * sin;
-            sum[2] += im * cos;
-            sum[3] += re * sin;
+/// Cosines, then sines, of 2π·turns·ξ for `LANES` offsets from the middle up.
+type Factors = [[f64; LANES]; 2];
+
+/// `Σ_b G_b exp(−2πi turns_b ξ_j)` for a row of samples, each exponential used for +ξ and −ξ; `across[block][b]`.
+fn moment_row(fields: &[[f64; 2]], across: &[Vec<Factors>], row: &mut [[f64; 2]]) {
+    let n = row.len();
+    for (block, factors) in across.iter().enumerate() {
+        let [rc, is, ic, rs] = moment_block(fields, factors);
+        for l in 0..LANES.min(n.div_ceil(2) - block * LANES) {
+            let h = block * LANES + l;
+            // exp(−iφ) = cos − i sin at +ξ, the conjugate at −ξ.
+            row[n / 2 + h] = [rc[l] + is[l], ic[l] - rs[l]];
+            row[n - 1 - (n / 2 + h)] = [rc[l] - is[l], ic[l] + rs[l]];
         }
     }
-    let mut row = vec![[0.0; 2]; n];
-    for (h, [rc, is, ic, rs]) in sums.into_iter().enumerate() {
-        // exp(−iφ) = cos − i sin at +ξ, the conjugate at −ξ.
-        row[n / 2 + h] = [rc + is, ic - rs];
-        row[n - 1 - (n / 2 + h)] = [rc - is, ic + rs];
-    }
-    row
 }
 
-/// (sin, cos) of 2π·turns·ξ at the offsets from the middle up.
-fn exponentials(turns_per_um: f64, grid: &PsfGrid, n: usize) -> Vec<(f64, f64)> {
-    (n / 2..n).map(|i| sin_cos_turns(turns_per_um * grid.offset(i))).collect()
+/// Sums of re·cos, im·sin, im·cos and re·sin over the nodes.
+#[multiversion(targets("x86_64+avx2"))]
+fn moment_block(fields: &[[f64; 2]], factors: &[Factors]) -> [[f64; LANES]; 4] {
+    let mut sums = [[0.0; LANES]; 4];
+    for ([re, im], [cos, sin]) in fields.iter().zip(factors) {
+        for l in 0..LANES {
+            sums[0][l] += re * cos[l];
+            sums[1][l] += im * sin[l];
+            sums[2][l] += im * cos[l];
+            sums[3][l] += re * sin[l];
+        }
+    }
+    sums
+}
+
+/// `[block][node]`: the exponentials across the chords at the offsets from the middle up.
+fn exponentials(strips: &[Strip], grid: &PsfGrid, n: usize) -> Vec<Vec<Factors>> {
+    let of = |block: usize| {
+        let factors = |strip: &Strip| {
+            let mut factors = [[0.0; LANES]; 2];
+            for l in 0..LANES {
+                let offset = grid.offset(n / 2 + block * LANES + l);
+                let (sin, cos) = sin_cos_turns(strip.turns_per_um * offset);
+                (factors[0][l], factors[1][l]) = (cos, sin);
+            }
+            factors
+        };
+        strips.iter().map(factors).collect()
+    };
+    (0..n.div_ceil(2).div_ceil(LANES)).map(of).collect()
 }
 
 fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> (Vec<Strip>, Option<Curved>) {
@@ -235,7 +266,7 @@ fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> (Vec<Strip>, Op
     let strips = outer
         .iter()
         .map(|&(chord, wu)| {
-            let mut sums = vec![vec![[0.0; 4]; half_samples]; powers];
+            let mut sums = vec![vec![[[0.0; LANES_ALONG]; 4]; half_samples.div_ceil(LANES_ALONG)]; powers];
             for &(v, wv) in &inner {
                 let p = DVec2::new(chord.middle + 0.5 * chord.length * v, chord.y);
                 let s = from_grid * p - offset;
@@ -244,9 +275,15 @@ fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> (Vec<Strip>, Op
                 let (sin, cos) = sin_cos_turns(turns.at(s) - shift);
                 accumulate(&mut sums, [weight * cos, weight * sin], p.x, p.x - middle.x, wavelength, grid);
             }
-            let side = |sign: f64| {
-                let at = |[rc, is, ic, rs]: &[f64; 4]| [rc + sign * is, ic - sign * rs];
-                sums.iter().map(|power| power.iter().map(at).collect()).collect()
+            let side = |sign: f64| -> Vec<Vec<[f64; 2]>> {
+                let of_power = |power: &Vec<[[f64; LANES_ALONG]; 4]>| {
+                    let at = |h: usize| {
+                        let [rc, is, ic, rs] = power[h / LANES_ALONG].map(|sum| sum[h % LANES_ALONG]);
+                        [rc + sign * is, ic - sign * rs]
+                    };
+                    (0..half_samples).map(at).collect()
+                };
+                sums.iter().map(of_power).collect()
             };
             Strip {
                 turns_per_um: chord.y / wavelength,
@@ -262,7 +299,7 @@ fn strips(w: &Wavefront, grid: &PsfGrid, half_samples: usize) -> (Vec<Strip>, Op
 /// Adds (re + i im)·d^a·{cos, sin}(2π·p/λ'·ξ) at the positive offsets to the sums of each power a; the exponential steps four samples at
 /// a time.
 fn accumulate(
-    sums: &mut [Vec<[f64; 4]>],
+    sums: &mut [Vec<[[f64; LANES_ALONG]; 4]>],
     [re, im]: [f64; 2],
     p: f64,
     d: f64,
@@ -271,21 +308,35 @@ fn accumulate(
 ) {
     let turns_per_um = p / wavelength_um;
     let first = grid.samples.min(8192) / 2;
-    let (step_sin, step_cos) = sin_cos_turns(4.0 * turns_per_um * grid.pitch_um());
-    let start: [(f64, f64); 4] =
+    let step = sin_cos_turns(LANES_ALONG as f64 * turns_per_um * grid.pitch_um());
+    let start: [(f64, f64); LANES_ALONG] =
         std::array::from_fn(|l| sin_cos_turns(turns_per_um * grid.offset(first + l)));
     let (mut re, mut im) = (re, im);
     for sums in sums {
-        let mut lanes = start;
-        for block in sums.chunks_mut(4) {
-            for (sum, (sin, cos)) in block.iter_mut().zip(&mut lanes) {
-                sum[0] += re * *cos;
-                sum[1] += im * *sin;
-                sum[2] += im * *cos;
-                sum[3] += re * *sin;
-                (*sin, *cos) = (*sin * step_cos + *cos * step_sin, *cos * step_cos - *sin * step_sin);
-            }
-        }
+        add_wave(sums, [re, im], start.map(|s| s.0), start.map(|s| s.1), step);
         (re, im) = (re * d, im * d);
+    }
+}
+
+/// Adds one wave to the sums of its real and imaginary part times cosine and sine.
+#[multiversion(targets("x86_64+avx2"))]
+fn add_wave(
+    sums: &mut [[[f64; LANES_ALONG]; 4]],
+    [re, im]: [f64; 2],
+    mut sin: [f64; LANES_ALONG],
+    mut cos: [f64; LANES_ALONG],
+    (step_sin, step_cos): (f64, f64),
+) {
+    for [rc, is, ic, rs] in sums {
+        for l in 0..LANES_ALONG {
+            rc[l] += re * cos[l];
+            is[l] += im * sin[l];
+            ic[l] += im * cos[l];
+            rs[l] += re * sin[l];
+        }
+        for l in 0..LANES_ALONG {
+            (sin[l], cos[l]) =
+                (sin[l] * step_cos + cos[l] * step_sin, cos[l] * step_cos - sin[l] * step_sin);
+        }
     }
 }
