@@ -335,8 +335,7 @@ fn add_wave(
             rs[l] += re * sin[l];
         }
         for l in 0..LANES_ALONG {
-            (sin[l], cos[l]) =
-                (sin[l] * step_cos + cos[l] * step_sin, cos[l] * step_cos - sin[l] * step_sin);
+            (sin[l], cos[l]) = (sin[l] * step_cos + cos[l] * step_sin, cos[l] * step_cos - sin[l] * step_sin);
         }
     }
 }

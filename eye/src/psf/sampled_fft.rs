@@ -10,11 +10,12 @@
 
 use super::chords::Chords;
 use super::matrix::PsfGrid;
+use super::polynomial::horner;
+use super::sincos::sin_cos_turns;
 use super::wavefront::Wavefront;
 use glam::{DMat2, DVec2};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex64;
-use std::f64::consts::TAU;
 
 /// What a lattice point at the edge of the pupil weighs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +40,7 @@ pub fn psf(w: &Wavefront, grid: &PsfGrid, across: usize, edge: Edge) -> Vec<f64>
     let (_, longest) = chords.longest();
     let diameter = longest.max(2.0 * chords.half_height());
     let wanted = across.max(4) as f64 * wavelength / (grid.pitch_um() * diameter);
-    let size = (wanted.ceil() as usize).max(n).next_power_of_two().min(MOST);
+    let size = fast_size((wanted.ceil() as usize).max(n)).min(MOST);
     let step = wavelength / (grid.pitch_um() * size as f64);
     let rows = pupil_rows(w, grid, &chords, (step, size, edge));
     // Along i within each row of the lattice (constant q_j), then along j for the wanted columns.
@@ -64,6 +65,19 @@ pub fn psf(w: &Wavefront, grid: &PsfGrid, across: usize, edge: Edge) -> Vec<f64>
     out
 }
 
+/// The smallest product of powers of 2, 3 and 5 that is not below n and even.
+fn fast_size(n: usize) -> usize {
+    let only_small = |mut n: usize| {
+        for prime in [2, 3, 5] {
+            while n.is_multiple_of(prime) {
+                n /= prime;
+            }
+        }
+        n == 1
+    };
+    (n.max(2)..).find(|n| n.is_multiple_of(2) && only_small(*n)).unwrap_or(n)
+}
+
 /// The lattice's rows that meet the pupil: (index along j, values along i). A pupil wider than the lattice is folded into it, which is
 /// exact for the samples of the point spread.
 fn pupil_rows(
@@ -77,6 +91,11 @@ fn pupil_rows(
     let (middle, half) = (chords.at(0.0).y, chords.half_height());
     let first = grid.offset(0);
     let index = |k: i64| k.rem_euclid(size as i64) as usize;
+    // Polynomials in coordinates along the rows: those of one row have one variable.
+    let angle = (inverse * e_i).to_angle();
+    let (turns_of, amplitude_of) =
+        (w.opd_um.scaled(1.0 / wavelength).rotated(angle), w.amplitude.rotated(angle));
+    let to_row = DMat2::from_angle(-angle) * inverse;
     let lines = ((middle - half) / step).ceil() as i64..=((middle + half) / step).floor() as i64;
     lines
         .map(|kj| {
@@ -85,16 +104,21 @@ fn pupil_rows(
             let ends = [-0.5, 0.5].map(|side| (chord.middle + side * chord.length) / step);
             let mut row = vec![Complex64::ZERO; size];
             // Cells of the lattice along the row that the chord meets.
+            let across = (to_row * (q_j * e_j - w.centre)).y;
+            let mut turns = vec![0.0; turns_of.degree() + 1];
+            let mut amplitude = vec![0.0; amplitude_of.degree() + 1];
+            turns_of.along_x(across, &mut turns);
+            amplitude_of.along_x(across, &mut amplitude);
             let room = if edge == Edge::Covered { 0.5 } else { 0.0 };
             for ki in (ends[0] - room).ceil() as i64..=(ends[1] + room).floor() as i64 {
                 let covered = (ki as f64 + 0.5).min(ends[1]) - (ki as f64 - 0.5).max(ends[0]);
                 let weight = if edge == Edge::Covered { covered.clamp(0.0, 1.0) } else { 1.0 };
                 let q: DVec2 = ki as f64 * step * e_i + q_j * e_j;
-                let s = inverse * (q - w.centre);
+                let along = (to_row * (q - w.centre)).x;
                 // ξ = centre + (first + i·pitch) along i and j.
                 let shift = q.dot(grid.centre_um) + (ki + kj) as f64 * step * first;
-                let turns = (w.opd_um.at(s) - shift) / wavelength;
-                row[index(ki)] += Complex64::from_polar(weight * w.amplitude.at(s), TAU * turns);
+                let (sin, cos) = sin_cos_turns(horner(&turns, along) - shift / wavelength);
+                row[index(ki)] += Complex64::new(cos, sin) * (weight * horner(&amplitude, along));
             }
             (index(kj), row)
         })

@@ -11,68 +11,21 @@
 //! their cutoff asks and read by six-point polynomials. Outside of the window a pupil with an edge spreads as `c/|ρ|³`; c is
 //! what is missing from the whole, which is known.
 
-use std::f64::consts::SQRT_2;
-
 use glam::{DMat2, DVec2};
+use multiversion::multiversion;
 use rayon::prelude::*;
 
-use super::super::spectral::{Absorbers, Kind, Paths, paths_at};
-use super::super::transfer::{FieldPoint, spot_radius_um, wavefront_options};
+use super::super::spectral::Kind;
+use super::super::transfer::FieldPoint;
 use super::local::{Local, Stencil};
-use crate::display::{EmissionLaw, Emitter};
-use crate::optics::beam::nominal_mm2;
-use crate::optics::{BeamField, Projection};
-use crate::psf::sampled_fft::{Edge, psf as fast};
-use crate::psf::{GridAxes, PsfGrid, Wavefront, WavefrontOptions, psf};
+use super::optics::{FINER, Optics, REACH, Spread, every, usual_spot_um, window};
+use crate::display::Emitter;
+use crate::psf::{PsfGrid, Wavefront};
 
-/// Window: at least so many µm each way, so many times the geometric spot and so many widths of the diffraction pattern.
-const LEAST_UM: f64 = 36.0;
-const SPOTS: f64 = 1.3;
-const WIDTHS: f64 = 12.0;
-/// Samples per sample that the cutoff asks, of a wavelength shorter than most.
-const FINER: f64 = 2.5;
-const SHORT: f64 = 0.15;
-/// Most samples across the window.
-const MOST_SAMPLES: usize = 2048;
-/// Samples from which a PSF comes from a fast transform of so many points across the pupil, at least: at 6 and 8 mm cones change by 1e-4
-/// from twice as many.
-const FAST_FROM: usize = 448;
-const ACROSS: usize = 256;
-/// Wavelengths at which the displacement of PSFs is traced.
-const DRIFTS: usize = 5;
 /// One of so many wavelengths is traced for what differs between source points.
 const SPARSE: usize = 4;
-/// Points of a polynomial on either side.
-const REACH: usize = 3;
 /// Samples beyond the offsets asked for that are read: polynomials, and the bend of the image between corners.
 const BESIDE: f64 = 8.0;
-
-/// What is the same for all cones.
-pub struct Optics<'a> {
-    /// Screen and eye.
-    pub projection: &'a Projection,
-    /// Light that enters the pupil from each point of the screen.
-    pub beams: &'a BeamField,
-    /// How the screen's light falls with the angle.
-    pub emission_law: EmissionLaw,
-    /// Media and pigments.
-    pub absorbers: Absorbers,
-    /// Wavelengths of the PSFs, nm.
-    pub nodes_nm: Vec<f64>,
-    /// Spacing, nm.
-    pub step_nm: f64,
-    /// Stiles-Crawford coefficient, base 10, 1/mm².
-    pub rho10_per_mm2: f64,
-}
-
-/// The PSF of one primary's light.
-#[derive(Clone)]
-struct Spread {
-    values: Vec<f64>,
-    /// Density at distance r outside of the window, times r³.
-    tail: f64,
-    total: f64,
-}
 
 /// Products of the gaps between six samples.
 const GAPS: [f64; 2 * REACH] = [-120.0, 24.0, -12.0, 12.0, -24.0, 120.0];
@@ -92,14 +45,6 @@ pub struct Collection {
     stencil: Stencil,
 }
 
-/// PSFs of one source point by wavelength, each of a density per photon that enters a pupil of the reference wavelength's beam.
-struct Images {
-    nodes_nm: Vec<f64>,
-    paths: Vec<Paths>,
-    totals: Vec<f64>,
-    psfs: Vec<Vec<f64>>,
-}
-
 impl Collection {
     /// For cones of a kind at a place (µm) and visual eccentricity (degrees).
     ///
@@ -114,37 +59,41 @@ impl Collection {
     ) -> Result<Self, String> {
         let point = FieldPoint::new(optics.projection, um)?;
         let local = Local::new(optics, &point)?;
+        let seen = (kind, ecc_deg);
         // The cone's own place, at all wavelengths.
         let waves = optics.wavefronts(&point, &optics.nodes_nm)?;
         let grid = window(&waves);
-        let own = optics.images(&point, &waves, grid);
-        let weigh = |images: &Images, step_nm: f64| -> Vec<Spread> {
-            let one = |emitter: &Emitter| optics.primary(images, emitter, (kind, ecc_deg, step_nm), &grid);
-            emitters.iter().map(one).collect()
+        let weights = |waves: &[Wavefront], step_nm: f64| -> Vec<Vec<f64>> {
+            emitters.iter().map(|emitter| optics.weights(waves, emitter, seen, step_nm)).collect()
         };
-        let spreads = weigh(&own, optics.step_nm);
+        let mut wanted = weights(&waves, optics.step_nm);
         let stencil = Stencil::new(usual_spot_um(&waves) / local.um_per_tangent());
+        let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
         if stencil.rigid {
-            let drift = optics.drift((&point, stencil.step()), emitters, (kind, ecc_deg))?;
-            let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
+            let drift = optics.drift((&point, stencil.step()), emitters, seen)?;
+            let spreads = optics.spreads(&point, &waves, &wanted, grid);
             return Ok(Self { local, grid, inside_um, spreads, beside: Vec::new(), drift, stencil });
         }
-        // Source points beside it, at fewer wavelengths: what is different there.
-        let coarse = own.every(SPARSE, optics.step_nm);
-        let coarse_step = SPARSE as f64 * optics.step_nm;
-        let base = weigh(&coarse, coarse_step);
+        // The same from fewer wavelengths, for what differs at source points beside it.
+        let few = every(&optics.nodes_nm, SPARSE, optics.step_nm);
+        let step_nm = SPARSE as f64 * optics.step_nm;
+        let few_nm: Vec<f64> = few.iter().map(|i| optics.nodes_nm[*i]).collect();
+        let few_waves: Vec<Wavefront> = few.iter().map(|i| waves[*i].clone()).collect();
+        for of_few in weights(&few_waves, step_nm) {
+            let mut of_all = vec![0.0; waves.len()];
+            few.iter().zip(of_few).for_each(|(i, weight)| of_all[*i] = weight);
+            wanted.push(of_all);
+        }
+        let mut spreads = optics.spreads(&point, &waves, &wanted, grid);
+        let base = spreads.split_off(emitters.len());
         let difference = |offset: &DVec2| -> Result<Vec<Spread>, String> {
             let source = FieldPoint::at_tangent(optics.projection, point.tangent + *offset)?;
-            let waves = optics.wavefronts(&source, &coarse.nodes_nm)?;
-            let images = optics.images(&source, &waves, grid);
-            let less = |(mut there, here): (Spread, &Spread)| {
-                there.values.iter_mut().zip(&here.values).for_each(|(a, b)| *a -= b);
-                Spread { tail: there.tail - here.tail, total: there.total - here.total, ..there }
-            };
-            Ok(weigh(&images, coarse_step).into_iter().zip(&base).map(less).collect())
+            let waves = optics.wavefronts(&source, &few_nm)?;
+            let mut spreads = optics.spreads(&source, &waves, &weights(&waves, step_nm), grid);
+            spreads.iter_mut().zip(&base).for_each(|(there, here)| there.subtract(here));
+            Ok(spreads)
         };
         let beside = stencil.offsets().iter().map(difference).collect::<Result<_, String>>()?;
-        let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
         let drift = vec![DMat2::ZERO; emitters.len()];
         Ok(Self { local, grid, inside_um, spreads, beside, drift, stencil })
     }
@@ -199,21 +148,20 @@ impl Collection {
             first..(high.max(0.0) as usize).clamp(first, last)
         };
         let (rows, columns) = (range(0), range(1));
-        for spread in self.spreads.iter_mut().chain(self.beside.iter_mut().flatten()) {
+        let all: Vec<&mut Spread> = self.spreads.iter_mut().chain(self.beside.iter_mut().flatten()).collect();
+        all.into_par_iter().for_each(|spread| {
             let mut sums = vec![0.0; samples * samples];
             for i in rows.clone() {
+                let line = &mut sums[i * samples..][columns.clone()];
                 for (di, taps) in stencil.chunks_exact(side).enumerate() {
-                    let row = &spread.values[(i + di - half) * samples..][..samples];
-                    let line = &mut sums[i * samples..][columns.clone()];
-                    for (j, sum) in (columns.start - half..).zip(line) {
-                        *sum += taps.iter().zip(&row[j..j + side]).map(|(t, v)| t * v).sum::<f64>();
-                    }
+                    let row = &spread.values[(i + di - half) * samples..][columns.start - half..];
+                    taps.iter().enumerate().for_each(|(dj, tap)| add(line, &row[dj..], *tap));
                 }
             }
             spread.values = sums;
             spread.tail *= area;
             spread.total *= area;
-        }
+        });
         self.inside_um -= half as f64 * pitch;
         self
     }
@@ -268,192 +216,8 @@ fn lagrange(t: f64) -> [f64; 2 * REACH] {
     })
 }
 
-impl Images {
-    /// Every so many wavelengths of each stretch of light and its ends.
-    fn every(&self, step: usize, step_nm: f64) -> Self {
-        let joined = |i: usize| self.nodes_nm[i + 1] - self.nodes_nm[i] <= step_nm * (1.0 + 1e-9);
-        let (mut kept, mut first) = (Vec::new(), 0);
-        for i in 0..self.nodes_nm.len() {
-            let last = i + 1 == self.nodes_nm.len() || !joined(i);
-            if (i - first).is_multiple_of(step) || last {
-                kept.push(i);
-            }
-            if last {
-                first = i + 1;
-            }
-        }
-        Self {
-            nodes_nm: kept.iter().map(|i| self.nodes_nm[*i]).collect(),
-            paths: kept.iter().map(|i| self.paths[*i]).collect(),
-            totals: kept.iter().map(|i| self.totals[*i]).collect(),
-            psfs: kept.iter().map(|i| self.psfs[*i].clone()).collect(),
-        }
-    }
-}
-
-impl Optics<'_> {
-    fn wavefronts(&self, point: &FieldPoint, nodes_nm: &[f64]) -> Result<Vec<Wavefront>, String> {
-        let eye = self.projection.eye();
-        let degree = Some(if eye.state().pupil_mm <= 4.0 { 10 } else { 14 });
-        let options = WavefrontOptions { degree, ..wavefront_options(self.rho10_per_mm2) };
-        let one = |nm: &f64| Wavefront::new(eye, point.object, *nm, &options).map_err(|e| e.to_string());
-        nodes_nm.par_iter().map(one).collect()
-    }
-
-    /// By primary: how the centroid of the PSF moves from the chief ray's landing point at the reference wavelength, µm along the
-    /// retina's tangents by unit tangents of the source, at five wavelengths weighted by what is caught near them.
-    fn drift(
-        &self,
-        (point, step): (&FieldPoint, f64),
-        emitters: &[Emitter],
-        (kind, ecc_deg): (Kind, f64),
-    ) -> Result<Vec<DMat2>, String> {
-        let (Some(first), Some(last)) = (self.nodes_nm.first(), self.nodes_nm.last()) else {
-            return Ok(vec![DMat2::ZERO; emitters.len()]);
-        };
-        let part = |i: usize| first + (last - first) * i as f64 / (DRIFTS - 1) as f64;
-        let mut nodes: Vec<f64> = (0..DRIFTS).map(part).collect();
-        nodes.dedup();
-        let moved = |offset: DVec2| -> Result<Vec<DVec2>, String> {
-            let source = FieldPoint::at_tangent(self.projection, point.tangent + offset)?;
-            let to_tangents = source.chart_from_tangents().inverse();
-            let of_wave = |w: &Wavefront| to_tangents * (w.landing_um - source.landing_um) + w.centroid_um();
-            Ok(self.wavefronts(&source, &nodes)?.iter().map(of_wave).collect())
-        };
-        let (right, left) = (moved(step * DVec2::X)?, moved(-step * DVec2::X)?);
-        let (above, below) = (moved(step * DVec2::Y)?, moved(-step * DVec2::Y)?);
-        let paths = Paths { cornea: 1.0, lens: 1.0 };
-        let of_emitter = |emitter: &Emitter| {
-            let (mut sum, mut total) = (DMat2::ZERO, 0.0);
-            for p in &emitter.photons {
-                let caught = p.emitted * self.absorbers.caught_at(kind, p.nm, ecc_deg, paths);
-                total += caught;
-                // Cubic between the wavelengths that were traced.
-                hats(&nodes, f64::MAX, p.nm, |i, hat| {
-                    let by = DMat2::from_cols(right[i] - left[i], above[i] - below[i]);
-                    sum += by * (caught * hat / (2.0 * step));
-                });
-            }
-            if total > 0.0 { sum * (1.0 / total) } else { DMat2::ZERO }
-        };
-        Ok(emitters.iter().map(of_emitter).collect())
-    }
-
-    /// PSFs about the image of a source point at the reference wavelength.
-    fn images(&self, point: &FieldPoint, waves: &[Wavefront], grid: PsfGrid) -> Images {
-        let to_tangents = point.chart_from_tangents().inverse();
-        let beam_mm2 =
-            nominal_mm2(self.projection.eye().state().pupil_mm) * self.beams.relative(point.tangent);
-        let image = |w: &Wavefront| {
-            // The window stands about the image at the reference wavelength; the PSF of this one lies beside.
-            let shift = to_tangents * (w.landing_um - point.landing_um);
-            let scale = w.pupil_area_mm2 / beam_mm2 * w.density_per_um2();
-            let grid = PsfGrid { centre_um: -shift, ..grid };
-            let image =
-                if grid.samples > FAST_FROM { fast(w, &grid, ACROSS, Edge::Covered) } else { psf(w, &grid) };
-            image.into_iter().map(|v| v * scale).collect()
-        };
-        Images {
-            nodes_nm: waves.iter().map(|w| w.wavelength_nm).collect(),
-            paths: waves.iter().map(|w| Paths::new(w, &self.absorbers.media)).collect(),
-            totals: waves.iter().map(|w| w.pupil_area_mm2 / beam_mm2 * w.throughput()).collect(),
-            psfs: waves.par_iter().map(image).collect(),
-        }
-    }
-
-    /// The PSF of a primary's light from those of wavelengths `step_nm` apart, weighted with what a kind of cone at an
-    /// eccentricity catches.
-    fn primary(
-        &self,
-        images: &Images,
-        emitter: &Emitter,
-        (kind, ecc_deg, step_nm): (Kind, f64, f64),
-        grid: &PsfGrid,
-    ) -> Spread {
-        let nodes = &images.nodes_nm;
-        let mut weights = vec![0.0; nodes.len()];
-        for p in &emitter.photons {
-            let paths = paths_at(nodes, &images.paths, p.nm);
-            let caught = self.absorbers.caught_at(kind, p.nm, ecc_deg, paths);
-            hats(nodes, step_nm, p.nm, |i, hat| weights[i] += hat * p.emitted * caught);
-        }
-        let emitted = emitter.emitted().max(f64::MIN_POSITIVE);
-        let mut values = vec![0.0; grid.samples * grid.samples];
-        let mut total = 0.0;
-        for ((weight, image), whole) in weights.iter().zip(&images.psfs).zip(&images.totals) {
-            let weight = weight / emitted;
-            total += weight * whole;
-            values.iter_mut().zip(image).for_each(|(sum, v)| *sum += weight * v);
-        }
-        let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
-        let inner = || REACH..grid.samples - REACH;
-        let inside: f64 = inner().map(|i| inner().map(|j| values[i * grid.samples + j]).sum::<f64>()).sum();
-        let missing = total - inside * grid.pitch_um().powi(2);
-        // ∫ r⁻³ over the plane outside of a square of half side R is 4√2/R.
-        Spread { values, tail: missing.max(0.0) * inside_um / (4.0 * SQRT_2), total }
-    }
-}
-
-/// Radius of the geometric spot, µm. Wavelengths rise; the ends of the spectrum are far out of focus and give little.
-fn usual_spot_um(waves: &[Wavefront]) -> f64 {
-    let at = |part: f64| &waves[(part * (waves.len() - 1) as f64).round() as usize];
-    [SHORT, 0.5, 1.0 - SHORT].map(|part| spot_radius_um(at(part))).into_iter().fold(0.0, f64::max)
-}
-
-/// The window that holds all wavelengths' PSFs.
-fn window(waves: &[Wavefront]) -> PsfGrid {
-    let width = |w: &Wavefront| {
-        let radius = w.axes.x_axis.length().max(w.axes.y_axis.length());
-        w.wavelength_um() / (2.0 * radius)
-    };
-    let at = |part: f64| &waves[(part * (waves.len() - 1) as f64).round() as usize];
-    let half = (SPOTS * usual_spot_um(waves) + WIDTHS * width(at(0.5))).max(LEAST_UM);
-    let pitch = 0.5 * width(at(SHORT)) / FINER;
-    let samples = ((2.0 * half / pitch).ceil() as usize).clamp(8 * REACH, MOST_SAMPLES);
-    let half_width_um = half.min(0.5 * pitch * samples as f64);
-    let axes = GridAxes::Retina;
-    PsfGrid { samples, half_width_um, centre_um: DVec2::ZERO, axes, nodes: None, fraunhofer: true }
-}
-
-/// Weights of the cubic through the four nodes around a wavelength, those of the same stretch of light; the end's value beyond its ends.
-fn hats(nodes: &[f64], step_nm: f64, nm: f64, mut put: impl FnMut(usize, f64)) {
-    let joined = |i: usize| nodes[i + 1] - nodes[i] <= step_nm * (1.0 + 1e-9);
-    let above = nodes.partition_point(|node| *node < nm).min(nodes.len() - 1);
-    if nodes[above] <= nm || above == 0 {
-        return put(above, 1.0);
-    }
-    if !joined(above - 1) {
-        let nearer = if nm - nodes[above - 1] < nodes[above] - nm { above - 1 } else { above };
-        return put(nearer, 1.0);
-    }
-    let mut range = [above - 1, above];
-    while range[0] > 0 && joined(range[0] - 1) && above - range[0] < 2 {
-        range[0] -= 1;
-    }
-    while range[1] + 1 < nodes.len() && joined(range[1]) && range[1] - above < 1 {
-        range[1] += 1;
-    }
-    for i in range[0]..=range[1] {
-        let others = (range[0]..=range[1]).filter(|j| *j != i);
-        put(i, others.map(|j| (nm - nodes[j]) / (nodes[i] - nodes[j])).product());
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::hats;
-
-    #[test]
-    fn cubics_are_read_exactly_and_gaps_are_not_crossed() {
-        let nodes = [400.0, 405.0, 410.0, 415.0, 420.0, 543.0];
-        let read = |nm: f64, f: fn(f64) -> f64| {
-            let mut sum = 0.0;
-            hats(&nodes, 5.0, nm, |i, w| sum += w * f(nodes[i]));
-            sum
-        };
-        assert!((read(407.0, |x| x.powi(3)) / 407.0_f64.powi(3) - 1.0).abs() < 1e-12);
-        assert!((read(418.0, |x| x * x) / 418.0_f64.powi(2) - 1.0).abs() < 1e-12);
-        assert!((read(543.0, |x| x) - 543.0).abs() < 1e-12);
-        assert!((read(450.0, |x| x) - 420.0).abs() < 1e-12);
-    }
+/// Adds a part of a row of samples to another.
+#[multiversion(targets("x86_64+avx2"))]
+fn add(to: &mut [f64], from: &[f64], part: f64) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to += part * from);
 }

@@ -4,11 +4,13 @@
 use std::f64::consts::PI;
 
 use glam::DVec2;
+use rayon::prelude::*;
 
 use super::super::light::{Course, Shown, courses, courses_at, frame_light, light};
 use super::super::source::Projector;
 use super::super::stray::angle::Scatter;
-use super::collection::{Collection, Optics};
+use super::collection::Collection;
+use super::optics::Optics;
 use super::scattered::Seen;
 use crate::display::Emitter;
 use crate::experiment::Experiment;
@@ -149,10 +151,9 @@ impl Sum<'_> {
         let block = f64::from(lights.block_px);
         let reach = self.collection.window_um() / self.px_um() + 2.0 * block + 2.0;
         let moves = self.longest_path(primary);
-        let mut sum = 0.0;
-        for (index, light) in lights.sums[primary].iter().enumerate() {
+        let of_block = |(index, light): (usize, &f64)| {
             if *light <= 0.0 {
-                continue;
+                return 0.0;
             }
             let first =
                 [index as u32 % lights.columns, index as u32 / lights.columns].map(|n| n * lights.block_px);
@@ -163,16 +164,17 @@ impl Sum<'_> {
             let middle = 0.5 * DVec2::new(f64::from(first[0] + last[0]), f64::from(first[1] + last[1]));
             let away = (middle - lights.sight[primary] - self.centre_px).abs().max_element();
             if away > reach + moves {
-                sum += light * self.collected(primary, middle - lights.sight[primary]);
-                continue;
+                return light * self.collected(primary, middle - lights.sight[primary]);
             }
-            for row in first[1]..last[1] {
-                for column in first[0]..last[0] {
-                    sum += self.pixel(primary, emitter, [column, row]);
-                }
-            }
-        }
-        sum * lights.photons[primary]
+            let rows = first[1]..last[1];
+            let of_row = |row| {
+                (first[0]..last[0]).map(|column| self.pixel(primary, emitter, [column, row])).sum::<f64>()
+            };
+            rows.map(of_row).sum()
+        };
+        // Collected before it is summed: the order of the sum is that of the blocks.
+        let of_blocks: Vec<f64> = lights.sums[primary].par_iter().enumerate().map(of_block).collect();
+        of_blocks.iter().sum::<f64>() * lights.photons[primary]
     }
 
     /// The same of one pixel that is near, over its time and its rectangles.

@@ -5,7 +5,7 @@ use glam::{DMat2, DVec2};
 
 use super::super::cones::entering;
 use super::super::transfer::FieldPoint;
-use super::collection::Optics;
+use super::optics::Optics;
 
 /// Step of the map's second derivatives, unit tangents.
 const STEP: f64 = 2e-3;

@@ -11,11 +11,11 @@
 mod collection;
 mod direct;
 mod local;
+mod optics;
 mod scattered;
 mod verdict;
 
 use glam::DVec2;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::cones::ConeTable;
@@ -29,8 +29,8 @@ use crate::media::Media;
 use crate::optics::{BeamField, Projection};
 use crate::retina::Retina;
 use crate::rng::{Purpose, Stream};
-use collection::Optics;
 use direct::{Cone, Lights};
+use optics::Optics;
 pub use verdict::{Verdict, verdict};
 
 /// Spacing of the wavelengths, nm.
@@ -126,7 +126,8 @@ impl Audited<'_> {
                 total,
             })
         };
-        samples.par_iter().map(one).collect()
+        // One cone at a time, each on all threads: its point spreads fill memory.
+        samples.iter().map(one).collect()
     }
 
     fn absorbers(&self) -> Result<Absorbers, String> {

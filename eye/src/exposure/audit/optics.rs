@@ -1,0 +1,274 @@
+//! The eye of the audit: point spread functions of one source point at wavelengths of the audit's own, and their sums weighted by
+//! a primary's light.
+
+use std::f64::consts::SQRT_2;
+
+use glam::{DMat2, DVec2};
+use rayon::prelude::*;
+
+use super::super::spectral::{Absorbers, Kind, Paths, paths_at};
+use super::super::transfer::{FieldPoint, spot_radius_um, wavefront_options};
+use crate::display::{EmissionLaw, Emitter};
+use crate::optics::beam::nominal_mm2;
+use crate::optics::{BeamField, Projection};
+use crate::psf::sampled_fft::{Edge, psf as fast};
+use crate::psf::{GridAxes, PsfGrid, Wavefront, WavefrontOptions, psf};
+
+/// Window: at least so many µm each way, so many times the geometric spot and so many widths of the diffraction pattern.
+const LEAST_UM: f64 = 36.0;
+const SPOTS: f64 = 1.3;
+const WIDTHS: f64 = 12.0;
+/// Samples per sample that the cutoff asks, of a wavelength shorter than most.
+pub const FINER: f64 = 2.5;
+const SHORT: f64 = 0.15;
+/// Most samples across the window.
+const MOST_SAMPLES: usize = 2048;
+/// Samples from which a PSF comes from a fast transform of so many points across the pupil, at least: at 6 and 8 mm cones change by 1e-4
+/// from twice as many.
+const FAST_FROM: usize = 448;
+const ACROSS: usize = 256;
+/// Wavelengths at which the displacement of PSFs is traced.
+const DRIFTS: usize = 5;
+/// Points of a polynomial on either side.
+pub const REACH: usize = 3;
+/// Point spreads that are held at a time, whatever the number of threads.
+const HELD: usize = 4;
+
+/// What is the same for all cones.
+pub struct Optics<'a> {
+    /// Screen and eye.
+    pub projection: &'a Projection,
+    /// Light that enters the pupil from each point of the screen.
+    pub beams: &'a BeamField,
+    /// How the screen's light falls with the angle.
+    pub emission_law: EmissionLaw,
+    /// Media and pigments.
+    pub absorbers: Absorbers,
+    /// Wavelengths of the PSFs, nm.
+    pub nodes_nm: Vec<f64>,
+    /// Spacing, nm.
+    pub step_nm: f64,
+    /// Stiles-Crawford coefficient, base 10, 1/mm².
+    pub rho10_per_mm2: f64,
+}
+
+/// The PSF of one primary's light.
+pub struct Spread {
+    /// Densities, row by row, 1/µm².
+    pub values: Vec<f64>,
+    /// Density at distance r outside of the window, times r³.
+    pub tail: f64,
+    /// All offsets together.
+    pub total: f64,
+}
+
+impl Spread {
+    /// What this one has more than another.
+    pub fn subtract(&mut self, other: &Self) {
+        self.values.iter_mut().zip(&other.values).for_each(|(a, b)| *a -= b);
+        self.tail -= other.tail;
+        self.total -= other.total;
+    }
+}
+
+impl Optics<'_> {
+    /// Wavefronts of a source point at wavelengths (nm).
+    ///
+    /// # Errors
+    /// When the pupil cannot be traced.
+    pub fn wavefronts(&self, point: &FieldPoint, nodes_nm: &[f64]) -> Result<Vec<Wavefront>, String> {
+        let eye = self.projection.eye();
+        let degree = Some(if eye.state().pupil_mm <= 4.0 { 10 } else { 14 });
+        let options = WavefrontOptions { degree, ..wavefront_options(self.rho10_per_mm2) };
+        let one = |nm: &f64| Wavefront::new(eye, point.object, *nm, &options).map_err(|e| e.to_string());
+        nodes_nm.par_iter().map(one).collect()
+    }
+
+    /// By primary: how the centroid of the PSF moves from the chief ray's landing point at the reference wavelength, µm along the
+    /// retina's tangents by unit tangents of the source, at five wavelengths weighted by what is caught near them.
+    pub fn drift(
+        &self,
+        (point, step): (&FieldPoint, f64),
+        emitters: &[Emitter],
+        (kind, ecc_deg): (Kind, f64),
+    ) -> Result<Vec<DMat2>, String> {
+        let (Some(first), Some(last)) = (self.nodes_nm.first(), self.nodes_nm.last()) else {
+            return Ok(vec![DMat2::ZERO; emitters.len()]);
+        };
+        let part = |i: usize| first + (last - first) * i as f64 / (DRIFTS - 1) as f64;
+        let mut nodes: Vec<f64> = (0..DRIFTS).map(part).collect();
+        nodes.dedup();
+        let moved = |offset: DVec2| -> Result<Vec<DVec2>, String> {
+            let source = FieldPoint::at_tangent(self.projection, point.tangent + offset)?;
+            let to_tangents = source.chart_from_tangents().inverse();
+            let of_wave = |w: &Wavefront| to_tangents * (w.landing_um - source.landing_um) + w.centroid_um();
+            Ok(self.wavefronts(&source, &nodes)?.iter().map(of_wave).collect())
+        };
+        let (right, left) = (moved(step * DVec2::X)?, moved(-step * DVec2::X)?);
+        let (above, below) = (moved(step * DVec2::Y)?, moved(-step * DVec2::Y)?);
+        let paths = Paths { cornea: 1.0, lens: 1.0 };
+        let of_emitter = |emitter: &Emitter| {
+            let (mut sum, mut total) = (DMat2::ZERO, 0.0);
+            for p in &emitter.photons {
+                let caught = p.emitted * self.absorbers.caught_at(kind, p.nm, ecc_deg, paths);
+                total += caught;
+                // Cubic between the wavelengths that were traced.
+                hats(&nodes, f64::MAX, p.nm, |i, hat| {
+                    let by = DMat2::from_cols(right[i] - left[i], above[i] - below[i]);
+                    sum += by * (caught * hat / (2.0 * step));
+                });
+            }
+            if total > 0.0 { sum * (1.0 / total) } else { DMat2::ZERO }
+        };
+        Ok(emitters.iter().map(of_emitter).collect())
+    }
+
+    /// By wavelength: the share of a primary's photons whose spread that wavelength stands for, times what a kind of cone at an
+    /// eccentricity catches of them.
+    pub fn weights(
+        &self,
+        waves: &[Wavefront],
+        emitter: &Emitter,
+        (kind, ecc_deg): (Kind, f64),
+        step_nm: f64,
+    ) -> Vec<f64> {
+        let nodes: Vec<f64> = waves.iter().map(|w| w.wavelength_nm).collect();
+        let paths: Vec<Paths> = waves.iter().map(|w| Paths::new(w, &self.absorbers.media)).collect();
+        let emitted = emitter.emitted().max(f64::MIN_POSITIVE);
+        let mut weights = vec![0.0; nodes.len()];
+        for p in &emitter.photons {
+            let caught = self.absorbers.caught_at(kind, p.nm, ecc_deg, paths_at(&nodes, &paths, p.nm));
+            hats(&nodes, step_nm, p.nm, |i, hat| weights[i] += hat * p.emitted * caught / emitted);
+        }
+        weights
+    }
+
+    /// The PSFs of a source point about its image at the reference wavelength, summed over wavelengths by each of several sets of
+    /// weights: of photons that enter a pupil of the reference wavelength's beam.
+    pub fn spreads(
+        &self,
+        point: &FieldPoint,
+        waves: &[Wavefront],
+        weights: &[Vec<f64>],
+        grid: PsfGrid,
+    ) -> Vec<Spread> {
+        let to_tangents = point.chart_from_tangents().inverse();
+        let nominal_mm2 = nominal_mm2(self.projection.eye().state().pupil_mm);
+        let beam_mm2 = nominal_mm2 * self.beams.relative(point.tangent);
+        let image = |w: &Wavefront| -> Vec<f64> {
+            // The window stands about the image at the reference wavelength; the PSF of this one lies beside.
+            let shift = to_tangents * (w.landing_um - point.landing_um);
+            let grid = PsfGrid { centre_um: -shift, ..grid };
+            if grid.samples > FAST_FROM { fast(w, &grid, ACROSS, Edge::Covered) } else { psf(w, &grid) }
+        };
+        let empty = |weights: &Vec<f64>| {
+            let whole = waves.iter().map(|w| w.pupil_area_mm2 / beam_mm2 * w.throughput());
+            let total = weights.iter().zip(whole).map(|(weight, whole)| weight * whole).sum();
+            Spread { values: vec![0.0; grid.samples * grid.samples], tail: 0.0, total }
+        };
+        let mut spreads: Vec<Spread> = weights.iter().map(empty).collect();
+        // A few wavelengths at a time: point spreads of a large pupil are large.
+        for first in (0..waves.len()).step_by(HELD) {
+            let group = &waves[first..waves.len().min(first + HELD)];
+            let images: Vec<Vec<f64>> = group.par_iter().map(image).collect();
+            spreads.par_iter_mut().zip(weights).for_each(|(spread, weights)| {
+                for ((image, w), weight) in images.iter().zip(group).zip(&weights[first..]) {
+                    let scale = weight * w.pupil_area_mm2 / beam_mm2 * w.density_per_um2();
+                    if scale != 0.0 {
+                        spread.values.iter_mut().zip(image).for_each(|(sum, v)| *sum += scale * v);
+                    }
+                }
+            });
+        }
+        let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
+        for spread in &mut spreads {
+            let inner = || REACH..grid.samples - REACH;
+            let inside: f64 =
+                inner().map(|i| inner().map(|j| spread.values[i * grid.samples + j]).sum::<f64>()).sum();
+            let missing = spread.total - inside * grid.pitch_um().powi(2);
+            // ∫ r⁻³ over the plane outside of a square of half side R is 4√2/R.
+            spread.tail = missing.max(0.0) * inside_um / (4.0 * SQRT_2);
+        }
+        spreads
+    }
+}
+
+/// Every so many of the wavelengths of each stretch of light, and its ends.
+pub fn every(nodes_nm: &[f64], step: usize, step_nm: f64) -> Vec<usize> {
+    let joined = |i: usize| nodes_nm[i + 1] - nodes_nm[i] <= step_nm * (1.0 + 1e-9);
+    let (mut kept, mut first) = (Vec::new(), 0);
+    for i in 0..nodes_nm.len() {
+        let last = i + 1 == nodes_nm.len() || !joined(i);
+        if (i - first).is_multiple_of(step) || last {
+            kept.push(i);
+        }
+        if last {
+            first = i + 1;
+        }
+    }
+    kept
+}
+
+/// Radius of the geometric spot, µm. Wavelengths rise; the ends of the spectrum are far out of focus and give little.
+pub fn usual_spot_um(waves: &[Wavefront]) -> f64 {
+    let at = |part: f64| &waves[(part * (waves.len() - 1) as f64).round() as usize];
+    [SHORT, 0.5, 1.0 - SHORT].map(|part| spot_radius_um(at(part))).into_iter().fold(0.0, f64::max)
+}
+
+/// The window that holds all wavelengths' PSFs.
+pub fn window(waves: &[Wavefront]) -> PsfGrid {
+    let width = |w: &Wavefront| {
+        let radius = w.axes.x_axis.length().max(w.axes.y_axis.length());
+        w.wavelength_um() / (2.0 * radius)
+    };
+    let at = |part: f64| &waves[(part * (waves.len() - 1) as f64).round() as usize];
+    let half = (SPOTS * usual_spot_um(waves) + WIDTHS * width(at(0.5))).max(LEAST_UM);
+    let pitch = 0.5 * width(at(SHORT)) / FINER;
+    let samples = ((2.0 * half / pitch).ceil() as usize).clamp(8 * REACH, MOST_SAMPLES);
+    let half_width_um = half.min(0.5 * pitch * samples as f64);
+    let axes = GridAxes::Retina;
+    PsfGrid { samples, half_width_um, centre_um: DVec2::ZERO, axes, nodes: None, fraunhofer: true }
+}
+
+/// Weights of the cubic through the four nodes around a wavelength, those of the same stretch of light; the end's value beyond its ends.
+fn hats(nodes: &[f64], step_nm: f64, nm: f64, mut put: impl FnMut(usize, f64)) {
+    let joined = |i: usize| nodes[i + 1] - nodes[i] <= step_nm * (1.0 + 1e-9);
+    let above = nodes.partition_point(|node| *node < nm).min(nodes.len() - 1);
+    if nodes[above] <= nm || above == 0 {
+        return put(above, 1.0);
+    }
+    if !joined(above - 1) {
+        let nearer = if nm - nodes[above - 1] < nodes[above] - nm { above - 1 } else { above };
+        return put(nearer, 1.0);
+    }
+    let mut range = [above - 1, above];
+    while range[0] > 0 && joined(range[0] - 1) && above - range[0] < 2 {
+        range[0] -= 1;
+    }
+    while range[1] + 1 < nodes.len() && joined(range[1]) && range[1] - above < 1 {
+        range[1] += 1;
+    }
+    for i in range[0]..=range[1] {
+        let others = (range[0]..=range[1]).filter(|j| *j != i);
+        put(i, others.map(|j| (nm - nodes[j]) / (nodes[i] - nodes[j])).product());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::hats;
+
+    #[test]
+    fn cubics_are_read_exactly_and_gaps_are_not_crossed() {
+        let nodes = [400.0, 405.0, 410.0, 415.0, 420.0, 543.0];
+        let read = |nm: f64, f: fn(f64) -> f64| {
+            let mut sum = 0.0;
+            hats(&nodes, 5.0, nm, |i, w| sum += w * f(nodes[i]));
+            sum
+        };
+        assert!((read(407.0, |x| x.powi(3)) / 407.0_f64.powi(3) - 1.0).abs() < 1e-12);
+        assert!((read(418.0, |x| x * x) / 418.0_f64.powi(2) - 1.0).abs() < 1e-12);
+        assert!((read(543.0, |x| x) - 543.0).abs() < 1e-12);
+        assert!((read(450.0, |x| x) - 420.0).abs() < 1e-12);
+    }
+}
