@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use super::super::spectral::Kind;
 use super::super::transfer::FieldPoint;
 use super::local::{Local, Stencil};
-use super::optics::{FINER, Optics, REACH, Spread, every, usual_spot_um, window};
+use super::optics::{Optics, REACH, Spread, every, usual_spot_um, window};
 use crate::display::Emitter;
 use crate::psf::{PsfGrid, Wavefront};
 
@@ -36,6 +36,7 @@ pub struct Collection {
     pub local: Local,
     grid: PsfGrid,
     inside_um: f64,
+    period_um: f64,
     /// By primary: of a source at the cone's own place.
     spreads: Vec<Spread>,
     /// `[point beside][primary]`: what that point's PSF has more.
@@ -62,7 +63,7 @@ impl Collection {
         let seen = (kind, ecc_deg);
         // The cone's own place, at all wavelengths.
         let waves = optics.wavefronts(&point, &optics.nodes_nm)?;
-        let grid = window(&waves);
+        let (grid, period_um) = window(&waves);
         let weights = |waves: &[Wavefront], step_nm: f64| -> Vec<Vec<f64>> {
             emitters.iter().map(|emitter| optics.weights(waves, emitter, seen, step_nm)).collect()
         };
@@ -72,7 +73,16 @@ impl Collection {
         if stencil.rigid {
             let drift = optics.drift((&point, stencil.step()), emitters, seen)?;
             let spreads = optics.spreads(&point, &waves, &wanted, grid);
-            return Ok(Self { local, grid, inside_um, spreads, beside: Vec::new(), drift, stencil });
+            return Ok(Self {
+                local,
+                grid,
+                inside_um,
+                period_um,
+                spreads,
+                beside: Vec::new(),
+                drift,
+                stencil,
+            });
         }
         // The same from fewer wavelengths, for what differs at source points beside it.
         let few = every(&optics.nodes_nm, SPARSE, optics.step_nm);
@@ -95,7 +105,7 @@ impl Collection {
         };
         let beside = stencil.offsets().iter().map(difference).collect::<Result<_, String>>()?;
         let drift = vec![DMat2::ZERO; emitters.len()];
-        Ok(Self { local, grid, inside_um, spreads, beside, drift, stencil })
+        Ok(Self { local, grid, inside_um, period_um, spreads, beside, drift, stencil })
     }
 
     /// Half of the window's side, µm.
@@ -105,7 +115,7 @@ impl Collection {
 
     /// Shortest period in the spread, µm.
     pub fn period_um(&self) -> f64 {
-        2.0 * FINER * self.grid.pitch_um()
+        self.period_um
     }
 
     /// Share of a primary's photons through the pupil that is counted, all offsets together.

@@ -19,7 +19,9 @@ const LEAST_UM: f64 = 36.0;
 const SPOTS: f64 = 1.3;
 const WIDTHS: f64 = 12.0;
 /// Samples per sample that the cutoff asks, of a wavelength shorter than most.
-pub const FINER: f64 = 2.5;
+const FINER: f64 = 2.5;
+/// The same of a window that would have more than [`FAST_FROM`]: aberrations leave little at the cutoff of a large pupil.
+const FINER_WIDE: f64 = 1.75;
 const SHORT: f64 = 0.15;
 /// Most samples across the window.
 const MOST_SAMPLES: usize = 2048;
@@ -159,7 +161,11 @@ impl Optics<'_> {
             // The window stands about the image at the reference wavelength; the PSF of this one lies beside.
             let shift = to_tangents * (w.landing_um - point.landing_um);
             let grid = PsfGrid { centre_um: -shift, ..grid };
-            if grid.samples > FAST_FROM { fast(w, &grid, ACROSS, Edge::Covered) } else { psf(w, &grid) }
+            if grid.samples as f64 > FAST_FROM as f64 * FINER_WIDE / FINER {
+                fast(w, &grid, ACROSS, Edge::Covered)
+            } else {
+                psf(w, &grid)
+            }
         };
         let empty = |weights: &Vec<f64>| {
             let whole = waves.iter().map(|w| w.pupil_area_mm2 / beam_mm2 * w.throughput());
@@ -215,19 +221,23 @@ pub fn usual_spot_um(waves: &[Wavefront]) -> f64 {
     [SHORT, 0.5, 1.0 - SHORT].map(|part| spot_radius_um(at(part))).into_iter().fold(0.0, f64::max)
 }
 
-/// The window that holds all wavelengths' PSFs.
-pub fn window(waves: &[Wavefront]) -> PsfGrid {
+/// The window that holds all wavelengths' PSFs, and the shortest period in them, µm.
+pub fn window(waves: &[Wavefront]) -> (PsfGrid, f64) {
     let width = |w: &Wavefront| {
         let radius = w.axes.x_axis.length().max(w.axes.y_axis.length());
         w.wavelength_um() / (2.0 * radius)
     };
     let at = |part: f64| &waves[(part * (waves.len() - 1) as f64).round() as usize];
     let half = (SPOTS * usual_spot_um(waves) + WIDTHS * width(at(0.5))).max(LEAST_UM);
-    let pitch = 0.5 * width(at(SHORT)) / FINER;
-    let samples = ((2.0 * half / pitch).ceil() as usize).clamp(8 * REACH, MOST_SAMPLES);
-    let half_width_um = half.min(0.5 * pitch * samples as f64);
+    let period_um = width(at(SHORT));
+    let samples = |finer: f64| (4.0 * half * finer / period_um).ceil() as usize;
+    let finer = if samples(FINER) > FAST_FROM { FINER_WIDE } else { FINER };
+    let samples = samples(finer).clamp(8 * REACH, MOST_SAMPLES);
+    let half_width_um = half.min(0.25 * period_um / finer * samples as f64);
     let axes = GridAxes::Retina;
-    PsfGrid { samples, half_width_um, centre_um: DVec2::ZERO, axes, nodes: None, fraunhofer: true }
+    let grid =
+        PsfGrid { samples, half_width_um, centre_um: DVec2::ZERO, axes, nodes: None, fraunhofer: true };
+    (grid, period_um)
 }
 
 /// Weights of the cubic through the four nodes around a wavelength, those of the same stretch of light; the end's value beyond its ends.
