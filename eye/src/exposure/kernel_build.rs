@@ -110,7 +110,7 @@ impl KernelSpec {
         let (kernels, throughput) = self.kernels_by_mode(&jobs, &factors, &modes, shape);
         let blur = |(p, w): &(&FieldPoint, &Wavefront)| extent(p, w)[0];
         let spot = jobs.iter().map(blur).fold(0.0, f64::max);
-        let kernels = self.collected((&projection, &points), (&kernels, shape), spot)?;
+        let kernels = self.collected((&projection, &points), (kernels, shape), spot)?;
         let (kinds, tables, basis_error) = self.basis(kernels, &mixtures, points.len(), shape);
         let ranks = [tables[0].len(), tables[1].len()];
         Ok(Kernels {
@@ -135,19 +135,20 @@ impl KernelSpec {
     fn collected(
         &self,
         (projection, points): (&Projection, &[FieldPoint]),
-        (kernels, shape): (&[PlaceKernels], PolarShape),
+        (kernels, shape): (Vec<PlaceKernels>, PolarShape),
         spot: f64,
     ) -> Result<Vec<PlaceKernels>, String> {
         let (moments, nodes) = (Moments::new(shape), self.field());
         let size = (spot, self.tolerance);
         let around = |point: &FieldPoint| Around::new(projection, &nodes, point, size);
         let arounds: Vec<Around> = points.par_iter().map(around).collect::<Result<_, _>>()?;
-        let of_mode = |kernels: &PlaceKernels| {
+        // The kernels of sources are given back mode by mode: they are the most of the memory.
+        let of_mode = |kernels: PlaceKernels| {
             let of_sources: Vec<&[Complex64]> = kernels.iter().map(Vec::as_slice).collect();
             let place = |own: usize| arounds[own].collected(&moments, &of_sources, own);
             (0..points.len()).into_par_iter().map(place).collect()
         };
-        Ok(kernels.iter().map(of_mode).collect())
+        Ok(kernels.into_iter().map(of_mode).collect())
     }
 
     /// Means over the field nodes, `[wavelength]`, of paths `[field node][wavelength]`.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::PlannedTile;
 use super::engine::IMAGES;
-use super::setup::Setup;
+use super::setup::{Setup, UM_PER_TANGENT};
 use crate::experiment::{Engine, Experiment};
 use crate::exposure::padua::FieldNodes;
 use crate::exposure::spectral::KINDS;
@@ -16,18 +16,27 @@ use crate::retina::{Density, RegionUm, tiles_for};
 
 /// CPU seconds per cone of a mosaic tile, with its halo and cells.
 const SECONDS_PER_CONE: f64 = 16e-6;
-/// CPU seconds per transfer table (field node x wavelength) at 3 mm.
-const SECONDS_PER_TRANSFER: f64 = 2.5e-3;
+/// CPU seconds per transfer table (field node x wavelength); per square of the turns of its phase; per sample.
+const SECONDS_PER_TRANSFER: f64 = 1.7e-3;
+const SECONDS_PER_SQUARE_TURN: f64 = 1.3e-6;
+const SECONDS_PER_SAMPLE: f64 = 3.6e-7;
 /// CPU seconds and bytes per wavefront of a table at 3 mm.
 pub const SECONDS_PER_WAVEFRONT: f64 = 0.2e-3;
 pub const BYTES_PER_WAVEFRONT: f64 = 1_500.0;
-/// CPU seconds per wavefront that is traced for an audit, and per point spread of it at 3 mm.
-const SECONDS_PER_TRACE: f64 = 2.0e-3;
+/// CPU seconds per point spread of an audit by matrix products and by fast transforms: of each, and per sample of its window.
+const AUDIT_SPREAD: [f64; 2] = [0.2e-3, 7.5e-8];
+const AUDIT_FAST_SPREAD: [f64; 2] = [5e-3, 3.7e-8];
+/// Blur by the eye's chromatic aberration in white light (300 nm), unit tangents per mm of pupil; lateral, cycles per cycle of the band at
+/// the fovea and per degree of eccentricity.
+const CHROMATIC_PER_MM: f64 = 0.5e-3;
+const WHITE_NM: f64 = 300.0;
+const LATERAL: [f64; 2] = [1.6e-4, 6.2e-5];
+/// Spectral modes of the kernels, at most.
+const MODES: f64 = 8.0;
 /// Bytes of a cone in a tile.
 const BYTES_PER_CONE: f64 = 140.0;
 /// Bytes of a worker that has done something.
 const BASE_BYTES: f64 = 90e6;
-const SECONDS_PER_AUDITED_SPREAD: f64 = 8e-3;
 
 /// How slow a machine is against the one of the constants, by stage: factors on predicted seconds, 1 on that machine.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -121,12 +130,14 @@ pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], ma
     let cones = cones_in(setup);
     let built = built_cones(setup);
     let (mut optics, mut kernel_bytes, mut build_bytes) = (0.0, 0.0, 0.0_f64);
-    for PlannedTile { kernels, .. } in tiles {
-        let cost = kernel_cost(experiment, kernels);
+    let blurs: Vec<Blur> = tiles.iter().map(|tile| Blur::of(experiment, setup, tile)).collect();
+    for (PlannedTile { kernels, .. }, blur) in tiles.iter().zip(&blurs) {
+        let cost = kernel_cost(experiment, kernels, blur);
         optics += cost.seconds;
         kernel_bytes += cost.bytes;
         build_bytes = build_bytes.max(cost.build_bytes);
     }
+    let audit = audit_cost(experiment, tiles, &blurs);
     let parts = tiles.len().max(1) as f64;
     let samples = tiles.iter().map(|t| t.scene.samples.iter().product::<usize>() as f64).sum::<f64>();
     let primaries = super::lit::computed_primaries(experiment) as f64;
@@ -141,7 +152,7 @@ pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], ma
         optics: machine.optics * optics,
         prepare: machine.prepare * counting.prepare,
         frames: machine.frames * f64::from(experiment.frames) * counting.frame,
-        audit: machine.audit * audit_seconds(experiment, tiles),
+        audit: machine.audit * audit.seconds,
     };
     Cost {
         cones,
@@ -149,33 +160,74 @@ pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], ma
         tiles_bytes: built * BYTES_PER_CONE,
         cones_bytes,
         kernel_bytes,
-        // A worker keeps two tiles, and builds the kernels of two.
+        // A worker keeps two tiles, and builds the kernels of two; or it audits.
         bytes: BASE_BYTES
-            + parts.min(2.0) * build_bytes
+            + (parts.min(2.0) * build_bytes).max(audit.bytes)
             + 0.85
                 * (2.0 * cones_bytes + cones * 900.0 + 3.0 * kernel_bytes + images_bytes)
                 * (2.0 / parts).min(1.0),
     }
 }
 
-/// CPU seconds of the audit: point spreads every 7 nm, whose side in samples grows with the cube of the pupil.
-fn audit_seconds(experiment: &Experiment, tiles: &[PlannedTile]) -> f64 {
+/// What the light to a tile is spread over.
+struct Blur {
+    /// Radius over all wavelengths, unit tangents.
+    tangents: f64,
+    /// Distance of wavelengths' images, unit tangents.
+    lateral: f64,
+}
+
+impl Blur {
+    /// From the rays that were traced to choose the band, at a few bright wavelengths.
+    fn of(experiment: &Experiment, setup: &Setup, tile: &PlannedTile) -> Self {
+        let bright = setup.seen(experiment, &tile.region).map_or(0.0, |seen| seen.blur);
+        let white = (range_nm(&tile.kernels.nodes_nm) / WHITE_NM).min(1.0);
+        let middle_um = 0.5 * (tile.region.min + tile.region.max);
+        let ecc_deg = (middle_um.length() / UM_PER_TANGENT).to_degrees();
+        Self {
+            tangents: bright.hypot(white * CHROMATIC_PER_MM * experiment.eye.pupil_mm),
+            lateral: white * (LATERAL[0] + LATERAL[1] * ecc_deg),
+        }
+    }
+}
+
+fn range_nm(nodes: &[f64]) -> f64 {
+    nodes.last().unwrap_or(&0.0) - nodes.first().unwrap_or(&0.0)
+}
+
+/// CPU seconds and bytes of an audit.
+struct AuditCost {
+    seconds: f64,
+    bytes: f64,
+}
+
+/// The audit: point spreads every 7 nm over a window that holds them, as `exposure/audit/optics.rs` chooses it. Where they are wide they are
+/// traced at two or five source points beside the cone, too, at every fourth wavelength.
+fn audit_cost(experiment: &Experiment, tiles: &[PlannedTile], blurs: &[Blur]) -> AuditCost {
     let nodes = tiles.first().map_or(&[][..], |t| t.kernels.nodes_nm.as_slice());
-    let range = nodes.last().unwrap_or(&0.0) - nodes.first().unwrap_or(&0.0);
-    let spreads = (range / 7.0 + 1.0).min(nodes.len() as f64 * 1.5);
-    let pupil = (experiment.eye.pupil_mm / 3.0).max(0.7);
-    let side = (0.6 + 0.4 * pupil.powi(4)).min(4.0);
-    // Wide PSFs are traced at source points beside the cone, too, at every fourth wavelength.
-    let beside = if experiment.eye.pupil_mm > 7.0 {
-        1.25
-    } else if experiment.eye.pupil_mm > 4.0 {
-        0.5
-    } else {
-        0.0
+    let waves = (range_nm(nodes) / 7.0 + 1.0).min(nodes.len() as f64 * 1.5);
+    let tangents = blurs.iter().map(|blur| blur.tangents).sum::<f64>() / blurs.len().max(1) as f64;
+    // µm: the spot, and the shortest period of light of 450 nm and 550 nm.
+    let spot_um = 1.08 * UM_PER_TANGENT * tangents;
+    let period_um = |nm: f64| 1e-6 * nm * UM_PER_TANGENT / experiment.eye.pupil_mm;
+    let half_um = (1.3 * spot_um + 12.0 * period_um(550.0)).max(36.0);
+    let samples = |finer: f64| 4.0 * half_um * finer / period_um(450.0);
+    let fast = samples(2.5) > 448.0;
+    let side = if fast { samples(1.75) } else { samples(2.5) }.min(2048.0);
+    let beside = match tangents {
+        t if t < 7e-4 => 0.0,
+        t if t < 2.5e-3 => 2.0,
+        _ => 5.0,
     };
-    let spreads = spreads * (1.0 + beside);
-    let one = (spreads + 20.0) * SECONDS_PER_TRACE + spreads * SECONDS_PER_AUDITED_SPREAD * side.powi(2);
-    f64::from(experiment.audit_cones) * one
+    let [each, sample] = if fast { AUDIT_FAST_SPREAD } else { AUDIT_SPREAD };
+    let spreads = waves * (1.0 + 0.25 * beside);
+    let primaries = super::lit::computed_primaries(experiment).max(1) as f64;
+    let cones = f64::from(experiment.audit_cones);
+    AuditCost {
+        seconds: cones * spreads * (each + sample * side * side),
+        // Sums by primary, four point spreads and their transforms.
+        bytes: cones.min(1.0) * side * side * 8.0 * (primaries * (2.0 + beside) + 12.0),
+    }
 }
 
 /// What the kernels of one tile cost.
@@ -186,23 +238,24 @@ struct KernelCost {
     build_bytes: f64,
 }
 
-/// CPU seconds and bytes of the kernels of one tile. Measured: a wavefront's transfer is 2 ms at 3 mm and grows with its spread,
-/// that is with the third power of the pupil, squared.
-fn kernel_cost(experiment: &Experiment, kernels: &KernelSpec) -> KernelCost {
-    let pupil = (experiment.eye.pupil_mm / 3.0).max(0.5);
-    let cycles = 1e-4 * kernels.band * pupil.powi(3);
-    let shape = PolarShape::for_cycles(kernels.band, [cycles, 2.0], TABLE_TOLERANCE * kernels.tolerance);
+/// CPU seconds and bytes of the kernels of one tile.
+fn kernel_cost(experiment: &Experiment, kernels: &KernelSpec, blur: &Blur) -> KernelCost {
+    let cycles = [blur.tangents, blur.lateral].map(|extent| kernels.band * extent);
+    let shape = PolarShape::for_cycles(kernels.band, cycles, TABLE_TOLERANCE * kernels.tolerance);
     let points = f64::from(FieldNodes::count(kernels.field_nodes));
     let transfers = points * kernels.nodes_nm.len() as f64;
-    let seconds =
-        transfers * (SECONDS_PER_TRANSFER * (1.0 + 0.05 * pupil.powi(6)) + 1.4e-7 * shape.len() as f64);
+    // Turns of the phase over a pupil of mm, at 550 nm.
+    let turns = blur.tangents * experiment.eye.pupil_mm * 1e-3 / 550e-9;
+    let one = SECONDS_PER_TRANSFER
+        + SECONDS_PER_SQUARE_TURN * turns * turns
+        + SECONDS_PER_SAMPLE * shape.len() as f64;
     let (primaries, table) = (kernels.primaries.len() as f64, shape.len() as f64 * 16.0);
-    // Some tables at a time; one a kind, place and primary.
-    let places = KINDS.len() as f64 * points * f64::from(kernels.ecc_nodes) * primaries;
+    // Some tables at a time; one a mode, place and primary, and what is collected of one mode.
+    let modes = (KINDS.len() as f64 * f64::from(kernels.ecc_nodes)).min(MODES);
     KernelCost {
-        seconds,
+        seconds: transfers * one,
         bytes: IMAGES * primaries * table,
-        build_bytes: table * (places + transfers.min(TRANSFER_BLOCK as f64)),
+        build_bytes: table * ((modes + 1.5) * points * primaries + transfers.min(TRANSFER_BLOCK as f64)),
     }
 }
 
