@@ -59,11 +59,14 @@ impl Pigments {
     }
 }
 
+/// Eccentricities from which on the density of the pigment stays what it is: of L and M, of S cones, visual degrees.
+pub const DENSITY_EDGES_DEG: [f64; 2] = [10.0, 13.0];
+
 /// Axial optical density (log10) of the unbleached pigment at the peak.
 pub fn axial_density(cone: ConeType, ecc_deg: f64) -> f64 {
     let (fovea, far, edge_deg) = match cone {
-        ConeType::L | ConeType::M => (0.50, 0.38, 10.0),
-        ConeType::S => (0.40, 0.30, 13.0),
+        ConeType::L | ConeType::M => (0.50, 0.38, DENSITY_EDGES_DEG[0]),
+        ConeType::S => (0.40, 0.30, DENSITY_EDGES_DEG[1]),
     };
     fovea + (far - fovea) * (ecc_deg / edge_deg).min(1.0)
 }

@@ -14,15 +14,16 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 
+use super::codec;
 use super::kernel_build::{basis_weights, displacement};
 use super::lowrank::{add, reduce};
+use super::nodes::PiecewiseNodes;
 use super::padua::FieldNodes;
 use super::polar::PolarShape;
 use super::spectral::{ARRIVING, Absorbers, KINDS, Paths, Share, paths_at};
-use super::{codec, nodes};
-use crate::cone::pigment::Pigments;
+use crate::cone::pigment::{DENSITY_EDGES_DEG, Pigments};
 use crate::display::{EmissionLaw, photon_shares};
-use crate::media::Media;
+use crate::media::{MACULA_EDGE_DEG, Media};
 use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
 use crate::psf::FieldTableSpec;
 use crate::spectrum::Spectrum;
@@ -128,7 +129,7 @@ pub struct Kernels {
     pub(super) head: Head,
     pub(super) field: FieldNodes,
     /// Nodes of the eccentricity, degrees.
-    pub(super) ecc_deg: Vec<f64>,
+    pub(super) ecc: PiecewiseNodes,
     /// By primary, of which the tables are.
     pub(super) shares: Vec<Vec<Share>>,
     /// `[basis][r][primary][sample]`.
@@ -167,8 +168,14 @@ impl KernelSpec {
         Projection::new(&eye, self.distance_mm).map_err(|e| e.to_string())
     }
 
+    /// The eccentricities at which kernels are known: pigments change their law at some.
+    pub(super) fn ecc(&self) -> PiecewiseNodes {
+        let kinks: Vec<f64> = DENSITY_EDGES_DEG.into_iter().chain([MACULA_EDGE_DEG]).collect();
+        PiecewiseNodes::new(self.ecc_deg[0], self.ecc_deg[1], &kinks, self.ecc_nodes as usize)
+    }
+
     pub(super) fn ecc_values(&self) -> Vec<f64> {
-        nodes::chebyshev(self.ecc_deg[0], self.ecc_deg[1], self.ecc_nodes as usize)
+        self.ecc().values()
     }
 
     /// The points of the field: over the cones, and at least so far about their middle that changes can be told.
@@ -284,7 +291,7 @@ impl Kernels {
 
     /// Weights of the kernels' places at a place of the retina (µm) with a visual eccentricity (degrees), the same for every kind.
     pub fn weights(&self, um: DVec2, ecc_deg: f64) -> Vec<f64> {
-        let at_e = nodes::lagrange(&self.ecc_deg, ecc_deg);
+        let at_e = self.ecc.weights(ecc_deg);
         self.field.weights(um).iter().flat_map(|wf| at_e.iter().map(move |we| wf * we)).collect()
     }
 
@@ -333,7 +340,7 @@ impl Kernels {
         let mut next = || parts.next().map(<[Complex64]>::to_vec).unwrap_or_default();
         let tables =
             head.ranks.map(|rank| (0..rank).map(|_| (0..primaries).map(|_| next()).collect()).collect());
-        let (field, ecc_deg, shares) = (head.spec.field(), head.spec.ecc_values(), head.spec.shares());
-        Ok(Self { head, field, ecc_deg, shares, tables })
+        let (field, ecc, shares) = (head.spec.field(), head.spec.ecc(), head.spec.shares());
+        Ok(Self { head, field, ecc, shares, tables })
     }
 }

@@ -125,7 +125,7 @@ impl KernelSpec {
                 paths: self.mean_paths(&paths),
             },
             field: self.field(),
-            ecc_deg: self.ecc_values(),
+            ecc: self.ecc(),
             shares: self.shares(),
             tables,
         })

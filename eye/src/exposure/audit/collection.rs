@@ -5,13 +5,13 @@
 //! (two where the geometric spot is small, five elsewhere), and a source at an offset δ on the screen has the PSF
 //! `p(ρ; δ) = p₀(ρ) + Σ_s L_s(δ) [p_s − p₀](ρ)`, L the polynomials of the first or second degree through these points. ρ is the
 //! exact offset `−X(δ)`, X the map of chief rays about x to second order. The differences are taken at every fourth
-//! wavelength: they are small. A PSF that is narrow keeps its form and is only displaced: by the traced change of its centroid.
+//! wavelength: they are small.
 //!
 //! `p(ρ) = Σ_λ fraction(λ)·caught(λ)·PSF_λ(ρ − shift(λ))` by PSFs at wavelengths of its own, sampled 2.5 times as finely as
-//! their cutoff asks and read by six-point polynomials. Outside of the window a pupil with an edge spreads as `c/|ρ|³`; c is
-//! what is missing from the whole, which is known.
+//! their cutoff asks and read by six-point polynomials. Outside of the window it is the wave from the pupil's edge
+//! ([`super::tail`]), with the light that is missing from the whole, which is known.
 
-use glam::{DMat2, DVec2};
+use glam::DVec2;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
@@ -41,13 +41,11 @@ pub struct Collection {
     spreads: Vec<Spread>,
     /// `[point beside][primary]`: what that point's PSF has more.
     beside: Vec<Vec<Spread>>,
-    /// By primary: displacement of the PSF (µm) by the offset of its source (unit tangents), where nothing else changes.
-    drift: Vec<DMat2>,
     stencil: Stencil,
 }
 
 impl Collection {
-    /// For cones of a kind at a place (µm) and visual eccentricity (degrees).
+    /// For cones of a kind at a place (µm) and visual eccentricity (degrees), with an aperture about so wide (µm).
     ///
     /// # Errors
     /// When the place sees no screen or the pupil cannot be traced.
@@ -55,7 +53,7 @@ impl Collection {
         optics: &Optics,
         emitters: &[Emitter],
         kind: Kind,
-        um: DVec2,
+        (um, aperture_um): (DVec2, f64),
         ecc_deg: f64,
     ) -> Result<Self, String> {
         let point = FieldPoint::new(optics.projection, um)?;
@@ -63,27 +61,13 @@ impl Collection {
         let seen = (kind, ecc_deg);
         // The cone's own place, at all wavelengths.
         let waves = optics.wavefronts(&point, &optics.nodes_nm)?;
-        let (grid, period_um) = window(&waves);
+        let (grid, period_um) = window(&waves, aperture_um);
         let weights = |waves: &[Wavefront], step_nm: f64| -> Vec<Vec<f64>> {
             emitters.iter().map(|emitter| optics.weights(waves, emitter, seen, step_nm)).collect()
         };
         let mut wanted = weights(&waves, optics.step_nm);
         let stencil = Stencil::new(usual_spot_um(&waves) / local.um_per_tangent());
         let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
-        if stencil.rigid {
-            let drift = optics.drift((&point, stencil.step()), emitters, seen)?;
-            let spreads = optics.spreads(&point, &waves, &wanted, grid);
-            return Ok(Self {
-                local,
-                grid,
-                inside_um,
-                period_um,
-                spreads,
-                beside: Vec::new(),
-                drift,
-                stencil,
-            });
-        }
         // The same from fewer wavelengths, for what differs at source points beside it.
         let few = every(&optics.nodes_nm, SPARSE, optics.step_nm);
         let step_nm = SPARSE as f64 * optics.step_nm;
@@ -104,8 +88,7 @@ impl Collection {
             Ok(spreads)
         };
         let beside = stencil.offsets().iter().map(difference).collect::<Result<_, String>>()?;
-        let drift = vec![DMat2::ZERO; emitters.len()];
-        Ok(Self { local, grid, inside_um, period_um, spreads, beside, drift, stencil })
+        Ok(Self { local, grid, inside_um, period_um, spreads, beside, stencil })
     }
 
     /// Half of the window's side, µm.
@@ -169,7 +152,7 @@ impl Collection {
                 }
             }
             spread.values = sums;
-            spread.tail *= area;
+            spread.tail.scale(area);
             spread.total *= area;
         });
         self.inside_um -= half as f64 * pitch;
@@ -179,11 +162,11 @@ impl Collection {
     /// The density, or the fraction, for a source at an offset on the screen (unit tangents) from the cone: of the photons that
     /// would enter the nominal pupil from the gaze centre.
     pub fn at(&self, primary: usize, offset: DVec2) -> f64 {
-        let rho = -self.local.image_um(offset) - self.drift[primary] * offset;
+        let rho = -self.local.image_um(offset);
         let outside = rho.abs().max_element() > self.inside_um;
         let own = self.read(&self.spreads[primary], rho, outside);
         // From afar only the light is another; the PSF's tail hardly changes.
-        let change = if outside || self.beside.is_empty() {
+        let change = if outside {
             0.0
         } else {
             let weights = self.stencil.weights(offset);
@@ -199,7 +182,7 @@ impl Collection {
     /// One PSF at an offset of the cone from the source's image (µm).
     fn read(&self, spread: &Spread, rho: DVec2, outside: bool) -> f64 {
         if outside {
-            return spread.tail / rho.length().powi(3);
+            return spread.tail.at(rho);
         }
         let samples = self.grid.samples;
         let [(i, across), (j, down)] = [self.stencil_at(rho.x), self.stencil_at(rho.y)];

@@ -104,7 +104,8 @@ pub fn mean(
     let tangent = optics.projection.screen_tangent(cone.um).map_err(|e| e.to_string())?;
     let ecc_deg = tangent.length().atan().to_degrees();
     let kind = Kind::Isomerized(cone.kind);
-    let collection = Collection::new(optics, &projector.emitters, kind, cone.um, ecc_deg)?;
+    let place = (cone.um, width_um(&cone.polygon_um));
+    let collection = Collection::new(optics, &projector.emitters, kind, place, ecc_deg)?;
     let mut corners = Vec::with_capacity(cone.polygon_um.len());
     for um in &cone.polygon_um {
         let corner = optics.projection.screen_tangent(*um).map_err(|e| e.to_string())?;
@@ -125,6 +126,13 @@ pub fn mean(
             .sum::<f64>();
     }
     Ok(mean * cone.pointing)
+}
+
+/// Diameter of a disc with the polygon's area.
+fn width_um(corners: &[DVec2]) -> f64 {
+    let next = |i: usize| corners[(i + 1) % corners.len()];
+    let twice: f64 = corners.iter().enumerate().map(|(i, a)| a.perp_dot(next(i))).sum();
+    (2.0 * twice.abs() / PI).sqrt()
 }
 
 /// Screen y is up, pixel y is down.

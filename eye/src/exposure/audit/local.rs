@@ -13,11 +13,9 @@ const STEP: f64 = 2e-3;
 const NEAR: f64 = 0.03;
 /// Largest geometric spot over which PSFs change in proportion to the place, radius in unit tangents (41 µm).
 const LINEAR: f64 = 2.5e-3;
-/// Largest geometric spot that keeps its form over its own width and is displaced only, radius in unit tangents (12 µm).
-const RIGID: f64 = 7e-4;
 /// Distance of the source points beside a cone's own place over the radius of the geometric spot, and its range, unit tangents.
 const PART: f64 = 0.5;
-const RANGE: [f64; 2] = [4e-4, 4e-3];
+const RANGE: [f64; 2] = [4e-4, 3e-2];
 
 /// The screen about a cone.
 pub struct Local {
@@ -98,8 +96,6 @@ fn expanded(f: impl Fn(DVec2) -> f64) -> [f64; 6] {
 /// Source points beside a cone's own place.
 pub struct Stencil {
     step: f64,
-    /// Whether PSFs keep their form.
-    pub rigid: bool,
     quadratic: bool,
 }
 
@@ -107,12 +103,7 @@ impl Stencil {
     /// For the radius of the geometric spot on the screen (unit tangents).
     pub fn new(spot: f64) -> Self {
         let step = (PART * spot).clamp(RANGE[0], RANGE[1]);
-        Self { step, rigid: spot < RIGID, quadratic: spot > LINEAR }
-    }
-
-    /// Distance of the points, unit tangents.
-    pub fn step(&self) -> f64 {
-        self.step
+        Self { step, quadratic: spot > LINEAR }
     }
 
     /// The offsets of the points, unit tangents.

@@ -13,6 +13,7 @@ mod direct;
 mod local;
 mod optics;
 mod scattered;
+mod tail;
 mod verdict;
 
 use glam::DVec2;

@@ -1,13 +1,12 @@
 //! The eye of the audit: point spread functions of one source point at wavelengths of the audit's own, and their sums weighted by
 //! a primary's light.
 
-use std::f64::consts::SQRT_2;
-
-use glam::{DMat2, DVec2};
+use glam::DVec2;
 use rayon::prelude::*;
 
 use super::super::spectral::{Absorbers, Kind, Paths, paths_at};
 use super::super::transfer::{FieldPoint, spot_radius_um, wavefront_options};
+use super::tail::Tail;
 use crate::display::{EmissionLaw, Emitter};
 use crate::optics::beam::nominal_mm2;
 use crate::optics::{BeamField, Projection};
@@ -23,14 +22,14 @@ const FINER: f64 = 2.5;
 /// The same of a window that would have more than [`FAST_FROM`]: aberrations leave little at the cutoff of a large pupil.
 const FINER_WIDE: f64 = 1.75;
 const SHORT: f64 = 0.15;
+/// Samples across an aperture, at least, where the window is too large for finer ones.
+const PER_APERTURE: f64 = 8.0;
 /// Most samples across the window.
 const MOST_SAMPLES: usize = 2048;
 /// Samples from which a PSF comes from a fast transform of so many points across the pupil, at least: at 6 and 8 mm cones change by 1e-4
 /// from twice as many.
 const FAST_FROM: usize = 448;
 const ACROSS: usize = 256;
-/// Wavelengths at which the displacement of PSFs is traced.
-const DRIFTS: usize = 5;
 /// Points of a polynomial on either side.
 pub const REACH: usize = 3;
 /// Point spreads that are held at a time, whatever the number of threads.
@@ -58,8 +57,8 @@ pub struct Optics<'a> {
 pub struct Spread {
     /// Densities, row by row, 1/µm².
     pub values: Vec<f64>,
-    /// Density at distance r outside of the window, times r³.
-    pub tail: f64,
+    /// Outside of the window.
+    pub tail: Tail,
     /// All offsets together.
     pub total: f64,
 }
@@ -68,7 +67,7 @@ impl Spread {
     /// What this one has more than another.
     pub fn subtract(&mut self, other: &Self) {
         self.values.iter_mut().zip(&other.values).for_each(|(a, b)| *a -= b);
-        self.tail -= other.tail;
+        self.tail.add(&other.tail, -1.0);
         self.total -= other.total;
     }
 }
@@ -84,45 +83,6 @@ impl Optics<'_> {
         let options = WavefrontOptions { degree, ..wavefront_options(self.rho10_per_mm2) };
         let one = |nm: &f64| Wavefront::new(eye, point.object, *nm, &options).map_err(|e| e.to_string());
         nodes_nm.par_iter().map(one).collect()
-    }
-
-    /// By primary: how the centroid of the PSF moves from the chief ray's landing point at the reference wavelength, µm along the
-    /// retina's tangents by unit tangents of the source, at five wavelengths weighted by what is caught near them.
-    pub fn drift(
-        &self,
-        (point, step): (&FieldPoint, f64),
-        emitters: &[Emitter],
-        (kind, ecc_deg): (Kind, f64),
-    ) -> Result<Vec<DMat2>, String> {
-        let (Some(first), Some(last)) = (self.nodes_nm.first(), self.nodes_nm.last()) else {
-            return Ok(vec![DMat2::ZERO; emitters.len()]);
-        };
-        let part = |i: usize| first + (last - first) * i as f64 / (DRIFTS - 1) as f64;
-        let mut nodes: Vec<f64> = (0..DRIFTS).map(part).collect();
-        nodes.dedup();
-        let moved = |offset: DVec2| -> Result<Vec<DVec2>, String> {
-            let source = FieldPoint::at_tangent(self.projection, point.tangent + offset)?;
-            let to_tangents = source.chart_from_tangents().inverse();
-            let of_wave = |w: &Wavefront| to_tangents * (w.landing_um - source.landing_um) + w.centroid_um();
-            Ok(self.wavefronts(&source, &nodes)?.iter().map(of_wave).collect())
-        };
-        let (right, left) = (moved(step * DVec2::X)?, moved(-step * DVec2::X)?);
-        let (above, below) = (moved(step * DVec2::Y)?, moved(-step * DVec2::Y)?);
-        let paths = Paths { cornea: 1.0, lens: 1.0 };
-        let of_emitter = |emitter: &Emitter| {
-            let (mut sum, mut total) = (DMat2::ZERO, 0.0);
-            for p in &emitter.photons {
-                let caught = p.emitted * self.absorbers.caught_at(kind, p.nm, ecc_deg, paths);
-                total += caught;
-                // Cubic between the wavelengths that were traced.
-                hats(&nodes, f64::MAX, p.nm, |i, hat| {
-                    let by = DMat2::from_cols(right[i] - left[i], above[i] - below[i]);
-                    sum += by * (caught * hat / (2.0 * step));
-                });
-            }
-            if total > 0.0 { sum * (1.0 / total) } else { DMat2::ZERO }
-        };
-        Ok(emitters.iter().map(of_emitter).collect())
     }
 
     /// By wavelength: the share of a primary's photons whose spread that wavelength stands for, times what a kind of cone at an
@@ -170,7 +130,7 @@ impl Optics<'_> {
         let empty = |weights: &Vec<f64>| {
             let whole = waves.iter().map(|w| w.pupil_area_mm2 / beam_mm2 * w.throughput());
             let total = weights.iter().zip(whole).map(|(weight, whole)| weight * whole).sum();
-            Spread { values: vec![0.0; grid.samples * grid.samples], tail: 0.0, total }
+            Spread { values: vec![0.0; grid.samples * grid.samples], tail: Tail::none(), total }
         };
         let mut spreads: Vec<Spread> = weights.iter().map(empty).collect();
         // A few wavelengths at a time: point spreads of a large pupil are large.
@@ -186,14 +146,20 @@ impl Optics<'_> {
                 }
             });
         }
+        for w in waves.iter().enumerate() {
+            let (wave, w) = w;
+            let tail = Tail::new(w, to_tangents * (w.landing_um - point.landing_um));
+            for (spread, weights) in spreads.iter_mut().zip(weights) {
+                spread.tail.add(&tail, weights[wave] * w.pupil_area_mm2 / beam_mm2);
+            }
+        }
         let inside_um = grid.half_width_um - REACH as f64 * grid.pitch_um();
         for spread in &mut spreads {
             let inner = || REACH..grid.samples - REACH;
             let inside: f64 =
                 inner().map(|i| inner().map(|j| spread.values[i * grid.samples + j]).sum::<f64>()).sum();
             let missing = spread.total - inside * grid.pitch_um().powi(2);
-            // ∫ r⁻³ over the plane outside of a square of half side R is 4√2/R.
-            spread.tail = missing.max(0.0) * inside_um / (4.0 * SQRT_2);
+            spread.tail.with_energy(missing.max(0.0), inside_um);
         }
         spreads
     }
@@ -221,8 +187,9 @@ pub fn usual_spot_um(waves: &[Wavefront]) -> f64 {
     [SHORT, 0.5, 1.0 - SHORT].map(|part| spot_radius_um(at(part))).into_iter().fold(0.0, f64::max)
 }
 
-/// The window that holds all wavelengths' PSFs, and the shortest period in them, µm.
-pub fn window(waves: &[Wavefront]) -> (PsfGrid, f64) {
+/// The window that holds all wavelengths' PSFs, and the shortest period in them, µm. One that is too large for [`MOST_SAMPLES`] has samples farther
+/// apart, as far as an aperture so wide (µm) averages over them.
+pub fn window(waves: &[Wavefront], aperture_um: f64) -> (PsfGrid, f64) {
     let width = |w: &Wavefront| {
         let radius = w.axes.x_axis.length().max(w.axes.y_axis.length());
         w.wavelength_um() / (2.0 * radius)
@@ -232,8 +199,10 @@ pub fn window(waves: &[Wavefront]) -> (PsfGrid, f64) {
     let period_um = width(at(SHORT));
     let samples = |finer: f64| (4.0 * half * finer / period_um).ceil() as usize;
     let finer = if samples(FINER) > FAST_FROM { FINER_WIDE } else { FINER };
-    let samples = samples(finer).clamp(8 * REACH, MOST_SAMPLES);
-    let half_width_um = half.min(0.25 * period_um / finer * samples as f64);
+    let finest_um = 0.5 * period_um / finer;
+    let pitch_um = (2.0 * half / MOST_SAMPLES as f64).min(aperture_um / PER_APERTURE).max(finest_um);
+    let samples = ((2.0 * half / pitch_um).ceil() as usize).clamp(8 * REACH, MOST_SAMPLES);
+    let half_width_um = half.min(0.5 * pitch_um * samples as f64);
     let axes = GridAxes::Retina;
     let grid =
         PsfGrid { samples, half_width_um, centre_um: DVec2::ZERO, axes, nodes: None, fraunhofer: true };
