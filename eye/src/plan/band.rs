@@ -16,6 +16,7 @@ use super::{Numerics, PlanError, Rule};
 use crate::display::photon_shares;
 use crate::experiment::Experiment;
 use crate::exposure::transfer::{FieldPoint, extent, wavefronts};
+use crate::optics::OpticsError;
 use crate::psf::Otf;
 use crate::retina::{Density, RegionUm};
 
@@ -27,6 +28,9 @@ const DIRECTIONS: u32 = 3;
 const POINTS: usize = 24;
 const STEPS: u32 = 400;
 
+/// Step of the map's second derivatives, unit tangents.
+const BEND_STEP: f64 = 2e-3;
+
 /// Parts of half a large patch at which the transfer is traced, along either axis.
 const PLACES: [f64; 3] = [-0.95, 0.0, 0.95];
 
@@ -37,6 +41,8 @@ pub struct Seen {
     moduli: Vec<f64>,
     /// Farthest that rays land from the place where they should, unit tangents of the screen.
     pub blur: f64,
+    /// Bend of the map from screen to retina: halves of its second derivatives over the first ones, per unit tangent.
+    pub bend: f64,
 }
 
 /// The same over the patch.
@@ -67,12 +73,13 @@ impl Moduli {
     /// At a place.
     fn at(&self, um: DVec2) -> Seen {
         let [x, y] = [0, 1].map(|axis| weights(&self.axes[axis], um[axis]));
-        let mut sum = Seen { moduli: vec![0.0; POINTS], blur: 0.0 };
+        let mut sum = Seen { moduli: vec![0.0; POINTS], blur: 0.0, bend: 0.0 };
         for (row, wy) in y.iter().enumerate() {
             for (column, wx) in x.iter().enumerate() {
                 let seen = &self.seen[row * x.len() + column];
                 sum.moduli.iter_mut().zip(&seen.moduli).for_each(|(s, c)| *s += wx * wy * c);
                 sum.blur += wx * wy * seen.blur;
+                sum.bend += wx * wy * seen.bend;
             }
         }
         sum
@@ -158,7 +165,22 @@ fn seen(experiment: &Experiment, setup: &Setup, um: DVec2) -> Result<Seen, Strin
         .collect();
     let largest = |i: usize| curves.iter().map(|curve| curve[i]).fold(0.0, f64::max);
     let blur = waves.iter().map(|wave| extent(&point, wave).iter().sum()).fold(0.0, f64::max);
-    Ok(Seen { moduli: (0..POINTS).map(largest).collect(), blur })
+    let bend = bend(setup, point.tangent)?;
+    Ok(Seen { moduli: (0..POINTS).map(largest).collect(), blur, bend })
+}
+
+/// Largest half of a second derivative of the map from screen to retina over its first one, per unit tangent.
+fn bend(setup: &Setup, tangent: DVec2) -> Result<f64, String> {
+    let jacobian =
+        |t: DVec2| setup.projection.jacobian_um_per_tangent(t).map_err(|e: OpticsError| e.to_string());
+    let to_tangents = jacobian(tangent)?.inverse();
+    let mut most = 0.0_f64;
+    for axis in [DVec2::X, DVec2::Y] {
+        let change = jacobian(tangent + BEND_STEP * axis)? - jacobian(tangent - BEND_STEP * axis)?;
+        let relative = to_tangents * change * (0.25 / BEND_STEP);
+        most = most.max(relative.x_axis.abs().max(relative.y_axis.abs()).max_element());
+    }
+    Ok(most)
 }
 
 /// A few wavelengths of the display's light.

@@ -7,7 +7,7 @@ use std::f64::consts::PI;
 use glam::DVec2;
 
 use super::lit::sparsity;
-use super::setup::{UM_PER_TANGENT, cutoff};
+use super::setup::{Setup, UM_PER_TANGENT, cutoff};
 use super::wavelengths::Wavelengths;
 use super::{ErrorPart, Knobs, Numerics, PlanError, PlannedTile};
 use crate::experiment::{Engine, Experiment, Movement, RangeError};
@@ -27,6 +27,9 @@ const STEP_10_NM: f64 = 5e-6;
 /// Error of a field of one point a degree along each side, with one, two or more points: squares of one pixel on patches of 0.9, 1.5 and 2.0°
 /// half their side: two points 2e-3, 5.6e-3 and 8.7e-3, three of 0.9° 3e-5, four of 1.5 and 2.0° 4e-5.
 const FIELD: [f64; 3] = [6e-3, 1.5e-2, 2e-3];
+/// Error of the map's bend over the square of the phase it turns: one line of light, 8 mm at 10, 20 and 30°, x = 1.9, 10 and 20 about: 3e-3, 2e-2
+/// and 0.17; 6 mm at 20°, x = 2.8: 3.5e-3.
+const BEND: f64 = 1.2e-3;
 /// Part of the copies' light that is left in the means after the tail's law is subtracted.
 const COPIES: f64 = 0.05;
 /// How much means move per tolerance of the low-rank basis, whatever the picture: 0.4 to 0.9, ranks are whole numbers.
@@ -95,6 +98,17 @@ pub fn field_part(tiles: &[PlannedTile], pupil_mm: f64) -> f64 {
     pupil * pupil * tiles.iter().map(field).fold(0.0, f64::max)
 }
 
+/// Error of the bend of the map from screen to retina within a wide blur. Kernels take it to first order: it turns the phase of the highest
+/// frequency by up to `x = 2π B b blur²`, of which x²/2 is left out, at the blur's edge.
+fn bend_part(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile]) -> f64 {
+    let of_tile = |tile: &PlannedTile| {
+        let seen = setup.seen(experiment, &tile.region).unwrap_or_default();
+        let turned = 2.0 * PI * tile.scene.band * seen.bend * seen.blur.powi(2);
+        (BEND * turned * turned).min(1.0)
+    };
+    tiles.iter().map(of_tile).fold(0.0, f64::max)
+}
+
 /// What the frequencies that are left out may change at most; on an evenly lit picture it is a part of it.
 pub fn band_bound(experiment: &Experiment) -> f64 {
     sparse(experiment) * Numerics::new(experiment).band_loss
@@ -116,7 +130,12 @@ pub fn copies_part(experiment: &Experiment, tiles: &[PlannedTile]) -> f64 {
 }
 
 /// The parts of the estimate.
-pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wavelengths) -> Vec<ErrorPart> {
+pub fn estimate(
+    experiment: &Experiment,
+    setup: &Setup,
+    tiles: &[PlannedTile],
+    wavelengths: &Wavelengths,
+) -> Vec<ErrorPart> {
     let part = |part: &str, relative: f64| ErrorPart { part: part.into(), relative };
     let numerics = Numerics::new(experiment);
     if experiment.counts.engine == Engine::Events {
@@ -138,10 +157,11 @@ pub fn estimate(experiment: &Experiment, tiles: &[PlannedTile], wavelengths: &Wa
         part("wavelength steps", STEP_10_NM * steps * pupil),
         part("wavelengths left out", wavelengths.outside),
         part("field interpolation", field_part(tiles, experiment.eye.pupil_mm)),
+        part("bend of the map within the blur", bend_part(experiment, setup, tiles)),
         part("low-rank kernels", basis_part(experiment)),
         part("period", copies_part(experiment, tiles)),
         part("band limit", if limited { BAND * band_bound(experiment) } else { 1e-7 }),
-        part("grid", grid),
+        part("grid", sparse(experiment) * grid),
         part("time segments", if turns { 0.1 * crate::exposure::SCAN_BLUR } else { 0.0 }),
         part("Poisson draws", 0.0),
     ]

@@ -156,7 +156,7 @@ pub fn plan_on(experiment: &Experiment, machine: &Machine) -> Result<Plan, PlanE
     let cost = cost::predict(experiment, &setup, &tiles, machine);
     let field_nodes = tiles.iter().map(|t| FieldNodes::count(t.kernels.field_nodes)).sum();
     let grid = tiles.iter().fold([0, 0], |g, t| [g[0].max(t.scene.samples[0]), g[1].max(t.scene.samples[1])]);
-    let error_estimate = error::estimate(experiment, &tiles, &wavelengths);
+    let error_estimate = error::estimate(experiment, &setup, &tiles, &wavelengths);
     if !error::is_met(experiment, &error_estimate) {
         error::refuse(experiment, &error_estimate, estimate)?;
     }
@@ -202,7 +202,7 @@ fn estimate(experiment: &Experiment) -> Result<Vec<ErrorPart>, PlanError> {
     let setup = setup::setup(experiment)?;
     let wavelengths = lit_wavelengths(experiment)?;
     let tiles = planned_tiles(experiment, &setup, &wavelengths.nodes_nm)?;
-    Ok(error::estimate(experiment, &tiles, &wavelengths))
+    Ok(error::estimate(experiment, &setup, &tiles, &wavelengths))
 }
 
 /// The wavelengths at which an experiment is computed.
