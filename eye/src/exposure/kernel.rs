@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::codec;
 use super::kernel_build::{basis_weights, displacement};
-use super::lowrank::{add, reduce};
+use super::lowrank::{Span, add};
 use super::nodes::PiecewiseNodes;
 use super::padua::FieldNodes;
 use super::polar::PolarShape;
@@ -220,7 +220,7 @@ impl Kernels {
             let sets: Vec<&[Vec<f64>]> =
                 own.clone().map(|kind| self.head.kinds[kind].from_basis.as_slice()).collect();
             let shares = if basis == 0 { &SHARES[..] } else { &[1.0] };
-            let reduced = reduce(&old, &sets, shares, &weights, tolerance);
+            let reduced = Span::new(&old, &weights).reduce(&sets, shares, tolerance);
             for kind in own {
                 let own = |c: &Vec<f64>| reduced.coefficients(c);
                 made.head.kinds[kind].from_basis = self.head.kinds[kind].from_basis.iter().map(own).collect();

@@ -12,7 +12,7 @@ use super::kernel::{
     APERTURE_UM, ARRIVING_TOLERANCE, Head, KernelSpec, Kernels, KindBasis, MEAN_WEIGHT, PlaceKernels, SHARES,
     TABLE_TOLERANCE, Tables, UM_PER_TANGENT,
 };
-use super::lowrank::{Modes, add, modes, reduce};
+use super::lowrank::{Modes, Span, add, modes};
 use super::padua::FieldNodes;
 use super::polar::PolarShape;
 use super::spectral::{ARRIVING, KINDS, Paths, Share};
@@ -287,10 +287,11 @@ impl KernelSpec {
         };
         let by_kind: Vec<Vec<Vec<f64>>> = (0..KINDS.len()).map(of_kind).collect();
         let sets: Vec<&[Vec<f64>]> = by_kind.iter().map(Vec::as_slice).collect();
-        let counted = reduce(&kernels, &sets[..ARRIVING], &SHARES, &weights, self.tolerance);
+        let span = Span::new(&kernels, &weights);
+        let counted = span.reduce(&sets[..ARRIVING], &SHARES, self.tolerance);
         // Arriving photons enter the budget only, where places average out: a coarser basis will do.
         let tolerance = ARRIVING_TOLERANCE * self.tolerance;
-        let arriving = reduce(&kernels, &sets[ARRIVING..], &[1.0], &weights, tolerance);
+        let arriving = span.reduce(&sets[ARRIVING..], &[1.0], tolerance);
         let basis_of = |kind: usize| if kind == ARRIVING { &arriving } else { &counted };
         let kinds = by_kind.iter().enumerate().map(|(kind, places)| {
             let from_basis = places.iter().map(|own| basis_of(kind).coefficients(own)).collect();

@@ -3,7 +3,7 @@
 //! The kernel that a cone sees depends on where it is: on the field (aberrations) and on the eccentricity (macula, pigment). Over a
 //! patch these kernels are nearly dependent. What cones of all types and eccentricities do with the wavelengths is a mixture of a
 //! few spectral modes ([`modes`]); each mode has a kernel at every point of the field, and of these the principal directions
-//! under a norm are the smallest basis for all places and types ([`reduce`]): the dropped eigenvalues are the squared error.
+//! under a norm are the smallest basis for all places and types ([`Span::reduce`]): the dropped eigenvalues are the squared error.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -91,60 +91,74 @@ impl Reduced {
     }
 }
 
-/// Kernels of a smaller basis than `kernels[old][sample]` for the mixtures `sets[set][a][old]` of them, with a relative
-/// root-mean-square error of at most `tolerance` of each set's own norm under the sample weights; the squares of the sets' errors
-/// count by their `shares`. With the Gram matrix of the kernels `G = W Wᵀ` the mixtures c are vectors Wᵀc of the same lengths and angles: their
-/// principal directions are found among as many numbers as there are kernels, whatever the number of mixtures and samples.
-pub fn reduce(
-    kernels: &[Vec<Complex64>],
-    sets: &[&[Vec<f64>]],
-    shares: &[f64],
-    weights: &[f64],
-    tolerance: f64,
-) -> Reduced {
-    let n = kernels.len();
-    let above: Vec<Vec<f64>> = (0..n)
-        .into_par_iter()
-        .map(|a| (a..n).map(|b| dot(&kernels[a], &kernels[b], weights)).collect())
-        .collect();
-    let gram = (0..n).map(|a| (0..n).map(|b| above[a.min(b)][a.max(b) - a.min(b)]).collect()).collect();
-    let (values, vectors) = symmetric_eigen(gram);
-    let largest = values.iter().copied().fold(0.0, f64::max);
-    let kept: Vec<usize> = (0..n).filter(|&i| values[i] > DEPENDENT * largest).collect();
-    let place = |c: &Vec<f64>| -> Vec<f64> {
-        let along = |&i: &usize| values[i].sqrt() * (0..n).map(|r| vectors[r][i] * c[r]).sum::<f64>();
-        kept.iter().map(along).collect()
-    };
-    let places: Vec<Vec<Vec<f64>>> = sets.iter().map(|set| set.iter().map(place).collect()).collect();
-    let square = |set: &Vec<Vec<f64>>| set.iter().flatten().map(|v| v * v).sum::<f64>();
-    let most = places.iter().map(square).fold(0.0, f64::max);
-    let mut spread = vec![vec![0.0; kept.len()]; kept.len()];
-    for (set, share) in places.iter().zip(shares) {
-        let factor = share / square(set).max(FAINT * FAINT * most).max(f64::MIN_POSITIVE);
-        for at in set {
-            for (row, x) in spread.iter_mut().zip(at) {
-                row.iter_mut().zip(at).for_each(|(sum, y)| *sum += factor * x * y);
+/// Kernels `[old][sample]` and the principal directions of what they span. With their Gram matrix `G = W Wᵀ` under the sample weights mixtures c of
+/// them are vectors Wᵀc of the same lengths and angles.
+pub struct Span<'a> {
+    kernels: &'a [Vec<Complex64>],
+    /// Eigenvalues and eigenvectors (columns) of G.
+    values: Vec<f64>,
+    vectors: Vec<Vec<f64>>,
+    /// Those that are not rounding errors.
+    kept: Vec<usize>,
+}
+
+impl<'a> Span<'a> {
+    /// Of kernels under sample weights.
+    pub fn new(kernels: &'a [Vec<Complex64>], weights: &[f64]) -> Self {
+        let n = kernels.len();
+        let above: Vec<Vec<f64>> = (0..n)
+            .into_par_iter()
+            .map(|a| (a..n).map(|b| dot(&kernels[a], &kernels[b], weights)).collect())
+            .collect();
+        let gram = (0..n).map(|a| (0..n).map(|b| above[a.min(b)][a.max(b) - a.min(b)]).collect()).collect();
+        let (values, vectors) = symmetric_eigen(gram);
+        let largest = values.iter().copied().fold(0.0, f64::max);
+        let kept = (0..n).filter(|&i| values[i] > DEPENDENT * largest).collect();
+        Self { kernels, values, vectors, kept }
+    }
+
+    /// Kernels of a smaller basis for the mixtures `sets[set][a][old]`, with a relative root-mean-square error of at most `tolerance` of each
+    /// set's own norm; the squares of the sets' errors count by their `shares`. The principal directions are found among as many numbers as
+    /// there are kernels, whatever the number of mixtures and samples.
+    pub fn reduce(&self, sets: &[&[Vec<f64>]], shares: &[f64], tolerance: f64) -> Reduced {
+        let Self { kernels, values, vectors, kept } = self;
+        let n = kernels.len();
+        let place = |c: &Vec<f64>| -> Vec<f64> {
+            let along = |&i: &usize| values[i].sqrt() * (0..n).map(|r| vectors[r][i] * c[r]).sum::<f64>();
+            kept.iter().map(along).collect()
+        };
+        let places: Vec<Vec<Vec<f64>>> = sets.iter().map(|set| set.iter().map(place).collect()).collect();
+        let square = |set: &Vec<Vec<f64>>| set.iter().flatten().map(|v| v * v).sum::<f64>();
+        let most = places.iter().map(square).fold(0.0, f64::max);
+        let mut spread = vec![vec![0.0; kept.len()]; kept.len()];
+        for (set, share) in places.iter().zip(shares) {
+            let factor = share / square(set).max(FAINT * FAINT * most).max(f64::MIN_POSITIVE);
+            for at in set {
+                for (row, x) in spread.iter_mut().zip(at) {
+                    row.iter_mut().zip(at).for_each(|(sum, y)| *sum += factor * x * y);
+                }
             }
         }
-    }
-    let (squares, directions) = symmetric_eigen(spread);
-    let (order, error) = largest_first(&squares, tolerance);
-    // Of an orthonormal kernel along a direction.
-    let of_old = |&r: &usize, power: f64| -> Vec<f64> {
-        let part =
-            |old: usize, (j, &i): (usize, &usize)| vectors[old][i] * values[i].powf(power) * directions[j][r];
-        (0..n).map(|old| kept.iter().enumerate().map(|at| part(old, at)).sum()).collect()
-    };
-    let samples = kernels.first().map_or(0, Vec::len);
-    let kernel = |r: &usize| {
-        let mut sum = vec![Complex64::ZERO; samples];
-        kernels.iter().zip(of_old(r, -0.5)).for_each(|(kernel, factor)| add(&mut sum, kernel, factor));
-        sum
-    };
-    Reduced {
-        kernels: order.iter().map(kernel).collect(),
-        from_old: order.iter().map(|r| of_old(r, 0.5)).collect(),
-        error,
+        let (squares, directions) = symmetric_eigen(spread);
+        let (order, error) = largest_first(&squares, tolerance);
+        // Of an orthonormal kernel along a direction.
+        let of_old = |&r: &usize, power: f64| -> Vec<f64> {
+            let part = |old: usize, (j, &i): (usize, &usize)| {
+                vectors[old][i] * values[i].powf(power) * directions[j][r]
+            };
+            (0..n).map(|old| kept.iter().enumerate().map(|at| part(old, at)).sum()).collect()
+        };
+        let samples = kernels.first().map_or(0, Vec::len);
+        let kernel = |r: &usize| {
+            let mut sum = vec![Complex64::ZERO; samples];
+            kernels.iter().zip(of_old(r, -0.5)).for_each(|(kernel, factor)| add(&mut sum, kernel, factor));
+            sum
+        };
+        Reduced {
+            kernels: order.par_iter().map(kernel).collect(),
+            from_old: order.iter().map(|r| of_old(r, 0.5)).collect(),
+            error,
+        }
     }
 }
 
@@ -247,7 +261,7 @@ mod tests {
             (0..9).map(|a| own(a).collect()).collect()
         };
         let (first, second) = (set(1.0), set(1e-3));
-        let made = reduce(&old, &[&first, &second], &[0.7, 0.3], &[1.0; 200], 1e-6);
+        let made = Span::new(&old, &[1.0; 200]).reduce(&[&first, &second], &[0.7, 0.3], 1e-6);
         assert_eq!(made.kernels.len(), 3);
         for c in first.iter().chain(&second) {
             let scale = c.iter().map(|c| c.abs()).fold(0.0, f64::max);

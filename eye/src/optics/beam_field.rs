@@ -31,6 +31,8 @@ pub struct BeamField {
     axes: [DVec3; 3],
     /// Largest angle of the table, radians.
     most: f64,
+    /// Nodes of the angle, radians.
+    angles: Vec<f64>,
     /// By node of the angle: mean, then cosine and sine of each harmonic of the azimuth.
     harmonics: Vec<[f64; AZIMUTHS - 1]>,
 }
@@ -74,7 +76,8 @@ impl BeamField {
             Ok(harmonics(&values))
         };
         let harmonics = (0..ANGLES).into_par_iter().map(of_node).collect::<Result<_, _>>()?;
-        Ok(Self { axes, most, harmonics })
+        let angles = (0..ANGLES).map(|node| angle_at(node, most)).collect();
+        Ok(Self { axes, most, angles, harmonics })
     }
 
     /// The beam from tangent coordinates `t` of the screen over the nominal area of the entrance pupil.
@@ -89,8 +92,8 @@ impl BeamField {
             if angle > most { (math::sin_cos(angle).1 / math::sin_cos(most).1).max(0.0) } else { 1.0 };
         // Interpolate each harmonic over the angle by the barycentric formula.
         let (mut above, mut below) = ([0.0; AZIMUTHS - 1], 0.0);
-        for (node, values) in self.harmonics.iter().enumerate() {
-            let gap = angle.min(most) - angle_at(node, most);
+        for (node, (values, at)) in self.harmonics.iter().zip(&self.angles).enumerate() {
+            let gap = angle.min(most) - at;
             let half = if node == 0 || node == ANGLES - 1 { 0.5 } else { 1.0 };
             let sign = if node.is_multiple_of(2) { half } else { -half };
             let weight = if gap.abs() < 1e-12 { sign * 1e30 } else { sign / gap };

@@ -26,6 +26,8 @@ pub enum Edge {
     Covered,
 }
 
+/// Rows that are transformed before they are turned.
+const TOGETHER: usize = 8;
 /// Largest transform along a side.
 const MOST: usize = 1 << 16;
 
@@ -42,16 +44,17 @@ pub fn psf(w: &Wavefront, grid: &PsfGrid, across: usize, edge: Edge) -> Vec<f64>
     let wanted = across.max(4) as f64 * wavelength / (grid.pitch_um() * diameter);
     let size = fast_size((wanted.ceil() as usize).max(n)).min(MOST);
     let step = wavelength / (grid.pitch_um() * size as f64);
-    let rows = pupil_rows(w, grid, &chords, (step, size, edge));
+    let mut rows = pupil_rows(w, grid, &chords, (step, size, edge));
     // Along i within each row of the lattice (constant q_j), then along j for the wanted columns.
     let mut planner = FftPlanner::new();
     let transform = planner.plan_fft_forward(size);
     let mut scratch = vec![Complex64::ZERO; transform.get_inplace_scratch_len()];
     let mut along = vec![Complex64::ZERO; size * n];
-    for (k, mut row) in rows {
-        transform.process_with_scratch(&mut row, &mut scratch);
-        for (i, value) in row.iter().take(n).enumerate() {
-            along[i * size + k] += value;
+    // Some rows together: their samples lie side by side along j.
+    for rows in rows.chunks_mut(TOGETHER) {
+        rows.iter_mut().for_each(|(_, row)| transform.process_with_scratch(row, &mut scratch));
+        for (i, column) in along.chunks_exact_mut(size).enumerate() {
+            rows.iter().for_each(|(k, row)| column[*k] += row[i]);
         }
     }
     let norm = w.amplitude_sum * w.axes.determinant().abs() / (step * step);

@@ -73,11 +73,6 @@ impl Prepared {
         Self { experiment: experiment.clone(), plan, exposure, retina, projection }
     }
 
-    pub fn plan_middle(&self) -> DVec2 {
-        let n = self.retina.id.len();
-        (0..n).map(|i| self.retina.center(i)).sum::<DVec2>() / n as f64
-    }
-
     pub fn means(&self) -> Vec<f64> {
         let FrameCounts::Means(means) = self.exposure.frame(0, None).unwrap().counts else { panic!("means") };
         means.into_iter().map(f64::from).collect()
@@ -130,100 +125,6 @@ impl Prepared {
             ISOMERIZATION * pigments.absorptance(self.retina.cone_type[i], NM, ecc)
         };
         (0..cones.len()).map(|k| caught(cones[k]) * sums.iter().map(|s| s[k]).sum::<f64>()).collect()
-    }
-
-    /// Mean of a cone amid an even field, by wavelets: near sources finely, far ones in blocks of 2 x 2 pixels.
-    pub fn even_by_wavelets(&self, cone: usize) -> f64 {
-        let display = &self.experiment.display;
-        let emitter = &emitters(display).unwrap()[0];
-        let per_px = display.pixel_pitch_cm / display.distance_cm;
-        let distance_mm = 10.0 * display.distance_cm;
-        let centre = DVec2::from_array(self.experiment.gaze.center_px);
-        let um = self.retina.center(cone);
-        let t0 = self.projection.screen_tangent(um).unwrap();
-        let aperture = self.aperture(cone);
-        let mut sources = Vec::new();
-        let get = |name: &str, or: f64| std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(or);
-        let near_um = get("NEAR", 60.0);
-        for (bx, by) in (0..15).flat_map(|x| (0..15).map(move |y| (x, y))) {
-            let corner = DVec2::new(2.0 * f64::from(bx), 2.0 * f64::from(by));
-            let from = (corner + 1.0 - centre) * per_px;
-            let near = (DVec2::new(from.x, -from.y) - t0).length() * 16_440.0 < near_um;
-            let rule = gauss(if near { get("NODES", 14.0) as usize } else { get("FAR", 1.0) as usize });
-            for (u, wu) in &rule {
-                for (v, wv) in &rule {
-                    let from = (corner + 2.0 * DVec2::new(*u, *v) - centre) * per_px;
-                    let tangent = DVec2::new(from.x, -from.y);
-                    let cos = 1.0 / 1.0_f64.hypot(tangent.length());
-                    let photons = 4.0 * emitter.emitted() * wu * wv / PI * cos.powi(3) / distance_mm.powi(2);
-                    sources.push((tangent, photons, if near { 70 } else { get("RINGS", 180.0) as usize }));
-                }
-            }
-        }
-        let of_source = |(tangent, photons, rings): &(DVec2, f64, usize)| -> f64 {
-            let wave = Wavelets::new(&self.projection, *tangent, *rings);
-            photons * aperture.iter().map(|(p, area)| area * wave.flux(*p)).sum::<f64>()
-        };
-        let sums = sources.par_iter().map(of_source).collect::<Vec<_>>();
-        let pigments = Pigments::new().unwrap();
-        let ecc = self.projection.visual_deg(um).unwrap().length();
-        ISOMERIZATION * pigments.absorptance(self.retina.cone_type[cone], NM, ecc) * sums.iter().sum::<f64>()
-    }
-
-    /// Mean of a cone amid an even field, by rays: light lands where the centroid of its rays does, and its density is that of the
-    /// sources over the area that the map of centroids gives them.
-    pub fn even_by_rays(&self, cone: usize) -> f64 {
-        let display = &self.experiment.display;
-        let emitter = &emitters(display).unwrap()[0];
-        let per_px = display.pixel_pitch_cm / display.distance_cm;
-        let distance_mm = 10.0 * display.distance_cm;
-        let fovea: Fovea = self.projection.eye().fovea();
-        let um = self.retina.center(cone);
-        let target = fovea.point_from_um(um);
-        // Flux and centroid of a source point.
-        let landed = |t: DVec2| -> (f64, DVec3) {
-            let mut points = Vec::new();
-            for (square, weight) in gauss(12) {
-                for k in 0..26 {
-                    let s = square.sqrt() * DVec2::from_angle((k as f64 + 0.5) * 2.0 * PI / 26.0);
-                    points.push((s, weight * PI / 26.0));
-                    let beside = [DVec2::X, DVec2::NEG_X, DVec2::Y, DVec2::NEG_Y];
-                    points.extend(beside.map(|e| (s + STEP * e, 0.0)));
-                }
-            }
-            let bundle =
-                PupilBundle::trace_points(self.projection.eye(), self.projection.object(t), NM, &points, &[])
-                    .unwrap();
-            let (mut flux, mut at) = (0.0, DVec3::ZERO);
-            for r in bundle.rays.chunks_exact(5) {
-                let (x, y) =
-                    ((r[1].launch - r[2].launch) / (2.0 * STEP), (r[3].launch - r[4].launch) / (2.0 * STEP));
-                let part = r[0].irradiance * r[0].weight * x.perp_dot(y).abs();
-                flux += part;
-                at += part * r[0].landing;
-            }
-            (flux, at / flux)
-        };
-        let mut t = self.projection.screen_tangent(um).unwrap();
-        let h = 1e-3;
-        let slopes = |t: DVec2| {
-            let by = |e: DVec2| (landed(t + h * e).1 - landed(t - h * e).1) / (2.0 * h);
-            (by(DVec2::X), by(DVec2::Y))
-        };
-        for _ in 0..4 {
-            let (x, y) = slopes(t);
-            let off = target - landed(t).1;
-            let gram = glam::DMat2::from_cols(DVec2::new(x.dot(x), x.dot(y)), DVec2::new(x.dot(y), y.dot(y)));
-            t += gram.inverse() * DVec2::new(x.dot(off), y.dot(off));
-        }
-        let (x, y) = slopes(t);
-        let per_area = landed(t).0 / x.cross(y).length() * 1e-6;
-        let cos = 1.0 / 1.0_f64.hypot(t.length());
-        let sources = emitter.emitted() / PI * cos.powi(3) / distance_mm.powi(2) / per_px.powi(2);
-        let area: f64 = self.aperture(cone).iter().map(|a| a.1).sum();
-        let pigments = Pigments::new().unwrap();
-        let ecc = self.projection.visual_deg(um).unwrap().length();
-        ISOMERIZATION * pigments.absorptance(self.retina.cone_type[cone], NM, ecc) * sources * per_area * area
     }
 
     /// Points (mm, eye frame) of a cone's aperture with areas (µm²).
@@ -381,41 +282,6 @@ fn one_pixel(pupil_mm: f64, ecc_deg: f64, cones: usize, nodes: usize) -> f64 {
 }
 
 #[test]
-#[ignore]
-fn dbg_map() {
-    let prepared = Prepared::new(&scene(POINT, 3.0, 10.0, 1e-3));
-    let p = &prepared.projection;
-    let fovea = p.eye().fovea();
-    let um = prepared.plan_middle();
-    let t = p.screen_tangent(um).unwrap();
-    let j = p.jacobian_um_per_tangent(t).unwrap();
-    let arc = um.length() / (1e3 * fovea.radius_mm);
-    println!("um {um} t {t} back {} arc {arc}", p.retina_um(t, 543.0).unwrap() - um);
-    for e in [DVec2::X, DVec2::Y] {
-        for h in [1e-3, 3e-4] {
-            let d =
-                (p.retina_um(t + h * e, 543.0).unwrap() - p.retina_um(t - h * e, 543.0).unwrap()) / (2.0 * h);
-            let (a, b) = (
-                fovea.point_from_um(p.retina_um(t + h * e, 543.0).unwrap()),
-                fovea.point_from_um(p.retina_um(t - h * e, 543.0).unwrap()),
-            );
-            println!(
-                "{e} {h}: jac {} fd {} 3d length {} chart-tangent length",
-                j * e,
-                d,
-                (a - b).length() / (2.0 * h) * 1e3
-            );
-        }
-    }
-    let around = arc.sin() / arc;
-    let way = um.normalize();
-    let side = way.perp();
-    let local = glam::DMat2::from_cols(way * way.x, way * way.y)
-        + around * glam::DMat2::from_cols(side * side.x, side * side.y);
-    println!("local lengths {} {}", (local * j * DVec2::X).length(), (local * j * DVec2::Y).length());
-}
-
-#[test]
 fn one_lit_pixel_at_three_millimetres() {
     let found = one_pixel(3.0, 0.0, 12, 12);
     assert!(found < 1e-3, "{found}");
@@ -434,71 +300,76 @@ fn one_lit_pixel_behind_all_pupils() {
     }
 }
 
-/// The audit against the reference on the lit cones that it drew: PUPIL, ECC, CONES, NODES and RINGS in the environment.
+/// A number from the environment.
+fn number(name: &str, or: f64) -> f64 {
+    std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(or)
+}
+
+/// L1 differences of the engine and of the audit from the reference, on cones that the audit drew and that have more than `least` of the most light.
+fn audited(experiment: &Experiment, least: f64, nodes: usize, rings: usize) -> [f64; 2] {
+    let prepared = Prepared::new(experiment);
+    let frame = prepared.exposure.frame(0, None).unwrap();
+    let samples = prepared.exposure.audit(0, None, &[], &frame).unwrap();
+    let most = prepared.means().into_iter().fold(0.0, f64::max);
+    let lit: Vec<_> = samples.iter().filter(|s| s.value > least * most).collect();
+    let index = |cone: u64| prepared.retina.id.iter().position(|id| *id == cone).unwrap();
+    let cones: Vec<usize> = lit.iter().map(|s| index(s.cone)).collect();
+    let reference = prepared.reference(&cones, nodes, rings);
+    for (s, r) in lit.iter().zip(&reference) {
+        println!("{r:10.4}: engine {:+.1e}, audit {:+.1e}", s.value / r - 1.0, s.reference / r - 1.0);
+    }
+    let of_audit: Vec<f64> = lit.iter().map(|s| s.reference).collect();
+    let of_engine: Vec<f64> = lit.iter().map(|s| s.value).collect();
+    let [engine, audit] = [&of_engine, &of_audit].map(|values| compare(values, &reference).0);
+    println!("engine {engine:.1e}, audit {audit:.1e}");
+    [engine, audit]
+}
+
+/// One lit pixel, 3 mm: at the fovea the audit is exact to 6e-5 (with PSFs that were moved but kept their form it was 7e-4 off), at 10° to 4e-4.
+#[test]
+fn the_audit_at_three_millimetres() {
+    for (ecc_deg, most) in [(0.0, 2e-4), (10.0, 6e-4)] {
+        let experiment = Experiment { audit_cones: 16, ..scene(POINT, 3.0, ecc_deg, 1e-3) };
+        let [_, audit] = audited(&experiment, 0.1, 12, rings(3.0));
+        assert!(audit < most, "{ecc_deg}: {audit}");
+    }
+}
+
+/// The same with PUPIL, ECC, CONES, NODES, RINGS and LEAST from the environment: few rings give wrong tails.
 #[test]
 #[ignore = "some minutes"]
 fn audited_cones_against_the_reference() {
-    let get = |name: &str, or: f64| std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(or);
-    let (pupil_mm, ecc_deg) = (get("PUPIL", 6.0), get("ECC", 0.0));
-    let picture = match std::env::var("PICTURE").as_deref() {
-        Ok("even") => Pattern::Uniform { rgb: [1.0; 3] },
-        Ok("edges") => Pattern::Checkerboard { square_px: 15 },
-        _ => POINT,
-    };
-    let mut experiment = scene(picture, pupil_mm, ecc_deg, 1e-3);
-    experiment.audit_cones = get("CONES", 16.0) as u32;
+    let pupil_mm = number("PUPIL", 6.0);
+    let mut experiment = scene(POINT, pupil_mm, number("ECC", 0.0), 1e-3);
+    experiment.audit_cones = number("CONES", 16.0) as u32;
+    let rings = number("RINGS", rings(pupil_mm) as f64) as usize;
+    let [_, audit] = audited(&experiment, number("LEAST", 0.1), number("NODES", 20.0) as usize, rings);
+    assert!(audit < 1e-3, "{audit}");
+}
+
+/// An even field about 10°, where the pigment's law of eccentricity has a kink: interpolated across it, means were off by up to 2.6e-3.
+#[test]
+fn an_even_field_across_the_edge_of_the_pigments_law() {
+    let experiment =
+        Experiment { audit_cones: 12, ..scene(Pattern::Uniform { rgb: [1.0; 3] }, 3.0, 10.0, 1e-3) };
     let prepared = Prepared::new(&experiment);
     let frame = prepared.exposure.frame(0, None).unwrap();
     let samples = prepared.exposure.audit(0, None, &[], &frame).unwrap();
     let most = prepared.means().into_iter().fold(0.0, f64::max);
-    let lit: Vec<_> = samples.iter().filter(|s| s.value > get("LEAST", 0.1) * most).collect();
-    let index = |cone: u64| prepared.retina.id.iter().position(|id| *id == cone).unwrap();
-    if std::env::var("RAYS").is_ok() {
-        for s in &lit {
-            let i = index(s.cone);
-            let r = prepared.even_by_rays(i);
-            let at = prepared.retina.center(i) - prepared.plan_middle();
-            println!(
-                "{at:.0} rays {r:10.4}: engine {:+.1e}, audit {:+.1e}",
-                s.value / r - 1.0,
-                s.reference / r - 1.0
-            );
-            if s.cone % 1000 == get("CONE", 0.0) as u64 {
-                let w = prepared.even_by_wavelets(i);
-                println!(
-                    "     wavelets {:+.2e} engine {:+.2e} audit {:+.2e}",
-                    w / r - 1.0,
-                    s.value / w - 1.0,
-                    s.reference / w - 1.0
-                );
-            }
-            println!("  {}", s.cone % 1000);
-        }
-        return;
+    for s in samples.iter().filter(|s| s.value > 0.4 * most) {
+        let off = s.value / s.reference - 1.0;
+        assert!(off.abs() < 1.7e-3, "{off}");
     }
-    let cones: Vec<usize> = lit.iter().map(|s| index(s.cone)).collect();
-    let rings = get("RINGS", rings(pupil_mm) as f64) as usize;
-    let reference = prepared.reference(&cones, get("NODES", 20.0) as usize, rings);
-    for (s, r) in lit.iter().zip(&reference) {
-        let at = prepared.retina.center(index(s.cone)) - prepared.plan_middle();
-        println!("{at:.0} {r:10.4}: engine {:+.1e}, audit {:+.1e}", s.value / r - 1.0, s.reference / r - 1.0);
-    }
-    let audited: Vec<f64> = lit.iter().map(|s| s.reference).collect();
-    let made: Vec<f64> = lit.iter().map(|s| s.value).collect();
-    let (engine, audit) = (compare(&made, &reference).0, compare(&audited, &reference).0);
-    println!("{pupil_mm} mm, {ecc_deg}°: engine {engine:.1e}, audit {audit:.1e}");
-    assert!(audit < 1e-3, "{audit}");
 }
 
-/// Audits of pictures behind pupils over the field, one wavelength, target 1e-3: a table of error and estimate. No audit's lower
-/// bound is above the target.
+/// Audits of pictures behind pupils over the field, one wavelength, target 1e-3: a table of error and estimate. Where the plan does not refuse the
+/// target no audit's lower bound is above it. PUPIL and ECC in the environment take one of each, CONES more cones.
 #[test]
 #[ignore = "some ten minutes"]
 fn targets_are_kept_behind_all_pupils() {
     let squares = |square_px: u32| Pattern::Checkerboard { square_px };
-    let even = Pattern::Uniform { rgb: [1.0; 3] };
     let pictures = [
-        ("even", even),
+        ("even", Pattern::Uniform { rgb: [1.0; 3] }),
         ("edges", squares(15)),
         ("checks", squares(10)),
         ("fine", squares(2)),
@@ -506,17 +377,16 @@ fn targets_are_kept_behind_all_pupils() {
         ("letter", letter()),
         ("point", POINT),
     ];
-    let mut missed = Vec::new();
-    let get = |name: &str, or: &[f64]| {
-        std::env::var(name).ok().and_then(|v| v.parse().ok()).map_or(or.to_vec(), |v| vec![v])
+    let only = |name: &str, all: &[f64]| -> Vec<f64> {
+        let one = std::env::var(name).ok().and_then(|v| v.parse().ok());
+        one.map_or(all.to_vec(), |v| vec![v])
     };
-    for pupil_mm in get("PUPIL", &[2.0, 3.0, 4.0, 6.0, 8.0]) {
-        for ecc_deg in get("ECC", &[0.0, 10.0, 20.0, 30.0]) {
+    let mut missed = Vec::new();
+    for pupil_mm in only("PUPIL", &[2.0, 3.0, 4.0, 6.0, 8.0]) {
+        for ecc_deg in only("ECC", &[0.0, 10.0, 20.0, 30.0]) {
             for (name, picture) in pictures.clone() {
-                let experiment = Experiment {
-                    audit_cones: std::env::var("CONES").ok().and_then(|v| v.parse().ok()).unwrap_or(8),
-                    ..scene(picture, pupil_mm, ecc_deg, 1e-3)
-                };
+                let audit_cones = number("CONES", 8.0) as u32;
+                let experiment = Experiment { audit_cones, ..scene(picture, pupil_mm, ecc_deg, 1e-3) };
                 if let Err(refused) = plan(&experiment) {
                     println!("{pupil_mm} mm, {ecc_deg:2}°, {name:6}: refused, {refused}");
                     continue;
@@ -527,36 +397,13 @@ fn targets_are_kept_behind_all_pupils() {
                 let found = verdict(&samples, false).unwrap();
                 let estimate: f64 = prepared.plan.error_estimate.iter().map(|p| p.relative).sum();
                 let error = found.relative_error;
+                let lower = found.lower_bound_95.unwrap();
                 println!(
-                    "{pupil_mm} mm, {ecc_deg:2}°, {name:6}: audit {error:.1e}, estimate {estimate:.1e}, ratio {:.2}",
+                    "{pupil_mm} mm, {ecc_deg:2}°, {name:6}: audit {error:.1e} (at least {lower:.1e}), estimate \
+                     {estimate:.1e}, ratio {:.2}",
                     estimate / error
                 );
-                if std::env::var("SAMPLES").is_ok() {
-                    for x in &samples {
-                        let i = prepared.retina.id.iter().position(|id| *id == x.cone).unwrap();
-                        println!(
-                            "     at {:?} value {:.4} reference {:.4} rel {:+.1e} contribution {:.1e}",
-                            prepared.retina.center(i) - prepared.plan_middle(),
-                            x.value,
-                            x.reference,
-                            x.value / x.reference - 1.0,
-                            (x.value - x.reference) / x.probability / x.total / samples.len() as f64
-                        );
-                    }
-                }
-                if std::env::var("PARTS").is_ok() {
-                    println!(
-                        "   {:?}",
-                        prepared
-                            .plan
-                            .error_estimate
-                            .iter()
-                            .filter(|p| p.relative > 1e-5)
-                            .map(|p| format!("{} {:.1e}", p.part, p.relative))
-                            .collect::<Vec<_>>()
-                    );
-                }
-                if found.lower_bound_95.unwrap() > 1e-3 {
+                if lower > 1e-3 {
                     missed.push((pupil_mm, ecc_deg, name));
                 }
             }

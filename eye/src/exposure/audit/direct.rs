@@ -114,7 +114,10 @@ pub fn mean(
     let aperture = aperture(&corners, 0.5 * collection.period_um());
     let per_px = display.pixel_pitch_cm / display.distance_cm;
     let centre_px = DVec2::from_array(experiment.gaze.center_px) + flip(tangent) / per_px;
-    let mut sum = Sum { projector, shown, lights, collection, per_px, centre_px };
+    let mut sum = Sum { projector, shown, lights, collection, per_px, centre_px, nodes: Vec::new() };
+    let period_px = sum.collection.period_um() / sum.px_um();
+    let of_emitter = |emitter: &Emitter| [period_px, AFAR * period_px].map(|px| pixel_nodes(emitter, px));
+    sum.nodes = projector.emitters.iter().map(of_emitter).collect();
     let lit = sum.lit_offsets();
     sum.collection = sum.collection.over(&aperture, lit);
     let mut mean: f64 = (0..projector.emitters.len()).map(|primary| sum.primary(primary)).sum();
@@ -149,6 +152,8 @@ struct Sum<'a> {
     per_px: f64,
     /// The cone's centre on the display, pixels.
     centre_px: DVec2,
+    /// By primary: points of a pixel from which light comes that is near, or far.
+    nodes: Vec<[Vec<Node>; 2]>,
 }
 
 impl Sum<'_> {
@@ -195,7 +200,7 @@ impl Sum<'_> {
             - std::f64::consts::FRAC_1_SQRT_2
             - self.longest_path(primary);
         let follow = if far * self.px_um() > CORE_UM { AFAR * period_px } else { period_px };
-        let points = pixel_nodes(emitter, follow);
+        let points = &self.nodes[primary][usize::from(far * self.px_um() > CORE_UM)];
         let own: Vec<Course>;
         let courses = if let Some(scan) = emitter.waveform.scan() {
             own = courses_at(emitter, display, self.shown.index, scan.delay(display, at));
