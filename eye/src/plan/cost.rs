@@ -201,11 +201,12 @@ struct AuditCost {
     bytes: f64,
 }
 
-/// The audit: point spreads every 7 nm over a window that holds them, as `exposure/audit/optics.rs` chooses it. Where they are wide they are
+/// The audit: point spreads every 10 or 7 nm over a window that holds them, as `exposure/audit/optics.rs` chooses it. Where they are wide they are
 /// traced at two or five source points beside the cone, too, at every fourth wavelength.
 fn audit_cost(experiment: &Experiment, tiles: &[PlannedTile], blurs: &[Blur]) -> AuditCost {
     let nodes = tiles.first().map_or(&[][..], |t| t.kernels.nodes_nm.as_slice());
-    let waves = (range_nm(nodes) / 7.0 + 1.0).min(nodes.len() as f64 * 1.5);
+    let step_nm = if experiment.eye.pupil_mm > 4.0 { 7.0 } else { 10.0 };
+    let waves = (range_nm(nodes) / step_nm + 1.0).min(nodes.len() as f64 * 1.5);
     let tangents = blurs.iter().map(|blur| blur.tangents).sum::<f64>() / blurs.len().max(1) as f64;
     // µm: the spot, and the shortest period of light of 450 nm and 550 nm.
     let spot_um = 1.08 * UM_PER_TANGENT * tangents;
@@ -214,11 +215,7 @@ fn audit_cost(experiment: &Experiment, tiles: &[PlannedTile], blurs: &[Blur]) ->
     let samples = |finer: f64| 4.0 * half_um * finer / period_um(450.0);
     let fast = samples(2.5) > 448.0;
     let side = if fast { samples(1.75) } else { samples(2.5) }.min(2048.0);
-    let beside = match tangents {
-        t if t < 7e-4 => 0.0,
-        t if t < 2.5e-3 => 2.0,
-        _ => 5.0,
-    };
+    let beside = if tangents < 2.5e-3 { 2.0 } else { 5.0 };
     let [each, sample] = if fast { AUDIT_FAST_SPREAD } else { AUDIT_SPREAD };
     let spreads = waves * (1.0 + 0.25 * beside);
     let primaries = super::lit::computed_primaries(experiment).max(1) as f64;

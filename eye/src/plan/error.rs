@@ -263,6 +263,11 @@ pub fn refuse(
         }
         needed = total(&parts);
     }
-    let allowed = format!("{:.1e} to {MOST} for this scene", tried.accuracy_target.min(MOST));
+    let least = tried.accuracy_target;
+    let allowed = if least > MOST {
+        "none with counts.engine EXPECTED for this scene: its light is spread too widely; take EVENTS or a smaller eye.pupil_mm".to_owned()
+    } else {
+        format!("{least:.1e} to {MOST} for this scene")
+    };
     Err(RangeError::new("accuracy.target", experiment.accuracy_target, &allowed).into())
 }

@@ -218,13 +218,9 @@ fn moment_block(fields: &[[f64; 2]], factors: &[Factors]) -> [[f64; LANES]; 4] {
 fn exponentials(strips: &[Strip], grid: &PsfGrid, n: usize) -> Vec<Vec<Factors>> {
     let of = |block: usize| {
         let factors = |strip: &Strip| {
-            let mut factors = [[0.0; LANES]; 2];
-            for l in 0..LANES {
-                let offset = grid.offset(n / 2 + block * LANES + l);
-                let (sin, cos) = sin_cos_turns(strip.turns_per_um * offset);
-                (factors[0][l], factors[1][l]) = (cos, sin);
-            }
-            factors
+            let at = |l: usize| sin_cos_turns(strip.turns_per_um * grid.offset(n / 2 + block * LANES + l));
+            let both: [(f64, f64); LANES] = std::array::from_fn(at);
+            [both.map(|(_, cos)| cos), both.map(|(sin, _)| sin)]
         };
         strips.iter().map(factors).collect()
     };

@@ -52,9 +52,13 @@ pub fn psf(w: &Wavefront, grid: &PsfGrid, across: usize, edge: Edge) -> Vec<f64>
     let mut along = vec![Complex64::ZERO; size * n];
     // Some rows together: their samples lie side by side along j.
     for rows in rows.chunks_mut(TOGETHER) {
-        rows.iter_mut().for_each(|(_, row)| transform.process_with_scratch(row, &mut scratch));
+        for (_, row) in rows.iter_mut() {
+            transform.process_with_scratch(row, &mut scratch);
+        }
         for (i, column) in along.chunks_exact_mut(size).enumerate() {
-            rows.iter().for_each(|(k, row)| column[*k] += row[i]);
+            for (k, row) in rows.iter() {
+                column[*k] += row[i];
+            }
         }
     }
     let norm = w.amplitude_sum * w.axes.determinant().abs() / (step * step);
@@ -78,7 +82,8 @@ fn fast_size(n: usize) -> usize {
         }
         n == 1
     };
-    (n.max(2)..).find(|n| n.is_multiple_of(2) && only_small(*n)).unwrap_or(n)
+    // There is a power of two on the way.
+    (n.max(2)..=2 * n.max(2)).find(|n| n.is_multiple_of(2) && only_small(*n)).unwrap_or(n)
 }
 
 /// The lattice's rows that meet the pupil: (index along j, values along i). A pupil wider than the lattice is folded into it, which is
