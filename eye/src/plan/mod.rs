@@ -307,8 +307,13 @@ fn half_side_deg(tile: &RegionUm) -> f64 {
 /// Pupil beyond which the field takes one point a side more, mm. One lit pixel of one wavelength at 6 mm with three and four: 9.6e-4 and 8e-4.
 const LARGE_PUPIL_MM: f64 = 4.5;
 
+/// Blur beyond which it does, unit tangents. One lit pixel, 4 mm, 20° from the fovea, with three and four: 3.4e-3 and 2.0e-3.
+const WIDE_BLUR: f64 = 3e-3;
+/// Target from which on that is not seen.
+const COARSE_TARGET: f64 = 5e-3;
+
 /// Points along each side of a tile at which the optics are computed.
-fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> u32 {
+fn field_nodes(experiment: &Experiment, setup: &Setup, tile: &RegionUm) -> u32 {
     if let Some(nodes) = experiment.counts.knobs.field_nodes {
         return nodes;
     }
@@ -319,7 +324,9 @@ fn field_nodes(experiment: &Experiment, tile: &RegionUm) -> u32 {
         _ => 3,
     };
     // Behind a large pupil PSFs change faster over the field, and spread farther.
-    let large = i32::from(experiment.eye.pupil_mm > LARGE_PUPIL_MM);
+    let blur = setup.seen(experiment, tile).map_or(0.0, |seen| seen.blur);
+    let wide = blur > WIDE_BLUR && experiment.accuracy_target < COARSE_TARGET;
+    let large = i32::from(experiment.eye.pupil_mm > LARGE_PUPIL_MM || wide);
     (nodes + large + Numerics::new(experiment).finer_field).max(1) as u32
 }
 
@@ -349,7 +356,7 @@ fn kernel_spec(
         distance_mm: experiment.display.distance_cm * 10.0,
         emission_law: experiment.display.emission_law,
         field_um: [tile.min, tile.max],
-        field_nodes: field_nodes(experiment, tile),
+        field_nodes: field_nodes(experiment, setup, tile),
         ecc_deg: [ecc_min, ecc_max],
         ecc_nodes: if omissions::beyond_gradients(experiment, ecc_min) {
             1
