@@ -1,5 +1,5 @@
-//! A scene at 40°: light from there reaches the cones that see it, through pupils of 3 mm; every photon has one fate. Through 8 mm it is spread
-//! over 5°, which no target of `EXPECTED` allows.
+//! A scene at 40°: light from there reaches the cones that see it, through pupils of 3 mm; every photon has
+//! one fate. Through 8 mm it is spread so widely that no target of `EXPECTED` allows it.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "tests fail by panicking")]
 
@@ -54,7 +54,8 @@ fn light_from_forty_degrees_is_counted_where_it_is_seen() {
             (low[axis], high[axis]) = (low[axis].min(value), high[axis].max(value));
         }
     }
-    // The chart of arcs is stretched around the centre by ρ/sin ρ, and the retina stands at about 20.5° to the light there (11° at 20°).
+    // The chart of arcs is stretched around the centre by ρ/sin ρ, and the retina stands at about 20.5° to
+    // the light there (11° at 20°).
     let arc = columns.x_um[inside[0]].hypot(columns.y_um[inside[0]]) / 12_000.0;
     let across = (high[0] - low[0]) * (high[1] - low[1]) * arc.sin() / arc * 20.5_f64.to_radians().cos();
     let covered = area / across;

@@ -53,7 +53,8 @@ fn eyes_are_listed_and_can_be_asked_for() {
         serde_json::from_str::<Value>(&said).unwrap()["strehl"].as_f64().unwrap()
     };
     let liou = strehl("liou-brennan-1997");
-    // 3 mm as seen from the front: the stop is 0.7 % wider than by the paraxial magnification, with which this was 0.71.
+    // 3 mm as seen from the front: the stop is 0.7 % wider than by the paraxial magnification, with which
+    // this was 0.71.
     assert!((0.68..0.72).contains(&liou), "{liou}");
     // An eye of one's own is a file of the same form.
     let text = photoneye_eye::catalog::text("eyes", "liou-brennan-1997").unwrap();

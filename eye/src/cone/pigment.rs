@@ -59,7 +59,8 @@ impl Pigments {
     }
 }
 
-/// Eccentricities from which on the density of the pigment stays what it is: of L and M, of S cones, visual degrees.
+/// Eccentricities from which on the density of the pigment stays what it is: of L and M, of S cones, visual
+/// degrees.
 pub const DENSITY_EDGES_DEG: [f64; 2] = [10.0, 13.0];
 
 /// Axial optical density (log10) of the unbleached pigment at the peak.

@@ -91,7 +91,8 @@ impl Around {
                 [0.5 * (quadratic.x_axis.x + xx), 0.5 * (quadratic.y_axis.y + yy), quadratic.x_axis.y + xy]
             })
             .collect();
-        // Over a PSF the polynomials curve by ∂∂ℓ ξ²/2, and what they weigh differs by some per cent over the field.
+        // Over a PSF the polynomials curve by ∂∂ℓ ξ²/2, and what they weigh differs by some per cent over the
+        // field.
         let most = second.iter().flatten().map(|s| s.abs()).fold(0.0, f64::max);
         let curves = VARIATION * most * spot * spot > SEEN * tolerance;
         Ok(Self { first, second, bend, bends, curves })

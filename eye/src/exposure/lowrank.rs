@@ -1,9 +1,10 @@
 //! Fewest kernels that span a set of similar ones.
 //!
-//! The kernel that a cone sees depends on where it is: on the field (aberrations) and on the eccentricity (macula, pigment). Over a
-//! patch these kernels are nearly dependent. What cones of all types and eccentricities do with the wavelengths is a mixture of a
-//! few spectral modes ([`modes`]); each mode has a kernel at every point of the field, and of these the principal directions
-//! under a norm are the smallest basis for all places and types ([`Span::reduce`]): the dropped eigenvalues are the squared error.
+//! The kernel that a cone sees depends on where it is: on the field (aberrations) and on the eccentricity
+//! (macula, pigment). Over a patch these kernels are nearly dependent. What cones of all types and
+//! eccentricities do with the wavelengths is a mixture of a few spectral modes ([`modes`]); each mode has a
+//! kernel at every point of the field, and of these the principal directions under a norm are the smallest
+//! basis for all places and types ([`Span::reduce`]): the dropped eigenvalues are the squared error.
 
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -91,8 +92,8 @@ impl Reduced {
     }
 }
 
-/// Kernels `[old][sample]` and the principal directions of what they span. With their Gram matrix `G = W Wᵀ` under the sample weights mixtures c of
-/// them are vectors Wᵀc of the same lengths and angles.
+/// Kernels `[old][sample]` and the principal directions of what they span. With their Gram matrix `G = W Wᵀ`
+/// under the sample weights mixtures c of them are vectors Wᵀc of the same lengths and angles.
 pub struct Span<'a> {
     kernels: &'a [Vec<Complex64>],
     /// Eigenvalues and eigenvectors (columns) of G.
@@ -117,9 +118,10 @@ impl<'a> Span<'a> {
         Self { kernels, values, vectors, kept }
     }
 
-    /// Kernels of a smaller basis for the mixtures `sets[set][a][old]`, with a relative root-mean-square error of at most `tolerance` of each
-    /// set's own norm; the squares of the sets' errors count by their `shares`. The principal directions are found among as many numbers as
-    /// there are kernels, whatever the number of mixtures and samples.
+    /// Kernels of a smaller basis for the mixtures `sets[set][a][old]`, with a relative root-mean-square
+    /// error of at most `tolerance` of each set's own norm; the squares of the sets' errors count by their
+    /// `shares`. The principal directions are found among as many numbers as there are kernels, whatever the
+    /// number of mixtures and samples.
     pub fn reduce(&self, sets: &[&[Vec<f64>]], shares: &[f64], tolerance: f64) -> Reduced {
         let Self { kernels, values, vectors, kept } = self;
         let n = kernels.len();

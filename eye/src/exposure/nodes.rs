@@ -18,7 +18,8 @@ pub fn lagrange(nodes: &[f64], x: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Chebyshev nodes in each of the pieces into which kinks cut a range: what is smooth between the kinks is interpolated well.
+/// Chebyshev nodes in each of the pieces into which kinks cut a range: what is smooth between the kinks is
+/// interpolated well.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PiecewiseNodes {
     /// Inner ends of the pieces, increasing.

@@ -8,8 +8,8 @@
 //! Chebyshev nodes in θ times harmonics of the azimuth about the optical axis, from which the stop is little decentred.
 //!
 //! # Accuracy
-//! 1e-5 up to 80° from the optical axis (behind pupils of 9 mm some 65°: farther out a part of the stop is not seen), tested against the
-//! traced beam; beyond, in proportion to cos θ.
+//! 1e-5 up to 80° from the optical axis (behind pupils of 9 mm some 65°: farther out a part of the stop is
+//! not seen), tested against the traced beam; beyond, in proportion to cos θ.
 
 use super::error::OpticsError;
 use super::projection::Projection;
@@ -19,7 +19,8 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 
-/// Angles from the optical axis up to which beams are traced, degrees: the first at which the whole stop is seen.
+/// Angles from the optical axis up to which beams are traced, degrees: the first at which the whole stop is
+/// seen.
 const MOST_DEG: [f64; 6] = [80.0, 70.0, 65.0, 60.0, 55.0, 50.0];
 /// Nodes of the angle and of the azimuth.
 const ANGLES: usize = 14;

@@ -41,7 +41,8 @@ pub struct Seen {
     moduli: Vec<f64>,
     /// Farthest that rays land from the place where they should, unit tangents of the screen.
     pub blur: f64,
-    /// Bend of the map from screen to retina: halves of its second derivatives over the first ones, per unit tangent.
+    /// Bend of the map from screen to retina: halves of its second derivatives over the first ones, per unit
+    /// tangent.
     pub bend: f64,
 }
 

@@ -16,18 +16,20 @@ use crate::retina::{Density, RegionUm, tiles_for};
 
 /// CPU seconds per cone of a mosaic tile, with its halo and cells.
 const SECONDS_PER_CONE: f64 = 16e-6;
-/// CPU seconds per transfer table (field node x wavelength); per square of the turns of its phase; per sample.
+/// CPU seconds per transfer table (field node x wavelength); per square of the turns of its phase; per
+/// sample.
 const SECONDS_PER_TRANSFER: f64 = 1.7e-3;
 const SECONDS_PER_SQUARE_TURN: f64 = 1.3e-6;
 const SECONDS_PER_SAMPLE: f64 = 3.6e-7;
 /// CPU seconds and bytes per wavefront of a table at 3 mm.
 pub const SECONDS_PER_WAVEFRONT: f64 = 0.2e-3;
 pub const BYTES_PER_WAVEFRONT: f64 = 1_500.0;
-/// CPU seconds per point spread of an audit by matrix products and by fast transforms: of each, and per sample of its window.
+/// CPU seconds per point spread of an audit by matrix products and by fast transforms: of each, and per
+/// sample of its window.
 const AUDIT_SPREAD: [f64; 2] = [0.2e-3, 7.5e-8];
 const AUDIT_FAST_SPREAD: [f64; 2] = [5e-3, 3.7e-8];
-/// Blur by the eye's chromatic aberration in white light (300 nm), unit tangents per mm of pupil; lateral, cycles per cycle of the band at
-/// the fovea and per degree of eccentricity.
+/// Blur by the eye's chromatic aberration in white light (300 nm), unit tangents per mm of pupil; lateral,
+/// cycles per cycle of the band at the fovea and per degree of eccentricity.
 const CHROMATIC_PER_MM: f64 = 0.5e-3;
 const WHITE_NM: f64 = 300.0;
 const LATERAL: [f64; 2] = [1.6e-4, 6.2e-5];
@@ -201,8 +203,9 @@ struct AuditCost {
     bytes: f64,
 }
 
-/// The audit: point spreads every 10 or 7 nm over a window that holds them, as `exposure/audit/optics.rs` chooses it. Where they are wide they are
-/// traced at two or five source points beside the cone, too, at every fourth wavelength.
+/// The audit: point spreads every 10 or 7 nm over a window that holds them, as `exposure/audit/optics.rs`
+/// chooses it. Where they are wide they are traced at two or five source points beside the cone, too, at
+/// every fourth wavelength.
 fn audit_cost(experiment: &Experiment, tiles: &[PlannedTile], blurs: &[Blur]) -> AuditCost {
     let nodes = tiles.first().map_or(&[][..], |t| t.kernels.nodes_nm.as_slice());
     let step_nm = if experiment.eye.pupil_mm > 4.0 { 7.0 } else { 10.0 };

@@ -307,7 +307,8 @@ fn half_side_deg(tile: &RegionUm) -> f64 {
 /// Pupil beyond which the field takes one point a side more, mm. One lit pixel of one wavelength at 6 mm with three and four: 9.6e-4 and 8e-4.
 const LARGE_PUPIL_MM: f64 = 4.5;
 
-/// Blur beyond which it does, unit tangents. One lit pixel, 4 mm, 20° from the fovea, with three and four: 3.4e-3 and 2.0e-3.
+/// Blur beyond which it does, unit tangents. One lit pixel, 4 mm, 20° from the fovea, with three and four:
+/// 3.4e-3 and 2.0e-3.
 const WIDE_BLUR: f64 = 3e-3;
 /// Target from which on that is not seen.
 const COARSE_TARGET: f64 = 5e-3;

@@ -88,8 +88,8 @@ pub const BLIND: f64 = 1e-3;
 const COARSE_STEP_PUPIL_MM: f64 = 4.0;
 /// Loss above the band per accuracy target.
 const LOSS: f64 = 0.25;
-/// The same for one lit pixel, in whose surroundings the light of the cut band rings: at 1e-3, 10° from the fovea, 0.25 leaves an L1 of 1.5e-3 in
-/// cones that see only tails, 0.03 7e-4.
+/// The same for one lit pixel, in whose surroundings the light of the cut band rings: at 1e-3, 10° from the
+/// fovea, 0.25 leaves an L1 of 1.5e-3 in cones that see only tails, 0.03 7e-4.
 const LOSS_OF_A_POINT: f64 = 0.04;
 
 impl Numerics {

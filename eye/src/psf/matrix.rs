@@ -185,7 +185,8 @@ pub fn psf(w: &Wavefront, grid: &PsfGrid) -> Vec<f64> {
 /// Cosines, then sines, of 2π·turns·ξ for `LANES` offsets from the middle up.
 type Factors = [[f64; LANES]; 2];
 
-/// `Σ_b G_b exp(−2πi turns_b ξ_j)` for a row of samples, each exponential used for +ξ and −ξ; `across[block][b]`.
+/// `Σ_b G_b exp(−2πi turns_b ξ_j)` for a row of samples, each exponential used for +ξ and −ξ;
+/// `across[block][b]`.
 fn moment_row(fields: &[[f64; 2]], across: &[Vec<Factors>], row: &mut [[f64; 2]]) {
     let n = row.len();
     for (block, factors) in across.iter().enumerate() {

@@ -305,7 +305,8 @@ fn number(name: &str, or: f64) -> f64 {
     std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(or)
 }
 
-/// L1 differences of the engine and of the audit from the reference, on cones that the audit drew and that have more than `least` of the most light.
+/// L1 differences of the engine and of the audit from the reference, on cones that the audit drew and that
+/// have more than `least` of the most light.
 fn audited(experiment: &Experiment, least: f64, nodes: usize, rings: usize) -> [f64; 2] {
     let prepared = Prepared::new(experiment);
     let frame = prepared.exposure.frame(0, None).unwrap();
@@ -325,7 +326,8 @@ fn audited(experiment: &Experiment, least: f64, nodes: usize, rings: usize) -> [
     [engine, audit]
 }
 
-/// One lit pixel, 3 mm: at the fovea the audit is exact to 6e-5 (with PSFs that were moved but kept their form it was 7e-4 off), at 10° to 4e-4.
+/// One lit pixel, 3 mm: at the fovea the audit is exact to 6e-5 (with PSFs that were moved but kept their
+/// form it was 7e-4 off), at 10° to 4e-4.
 #[test]
 fn the_audit_at_three_millimetres() {
     for (ecc_deg, most) in [(0.0, 2e-4), (10.0, 6e-4)] {
@@ -347,7 +349,8 @@ fn audited_cones_against_the_reference() {
     assert!(audit < 1e-3, "{audit}");
 }
 
-/// An even field about 10°, where the pigment's law of eccentricity has a kink: interpolated across it, means were off by up to 2.6e-3.
+/// An even field about 10°, where the pigment's law of eccentricity has a kink: interpolated across it, means
+/// were off by up to 2.6e-3.
 #[test]
 fn an_even_field_across_the_edge_of_the_pigments_law() {
     let experiment =
@@ -362,8 +365,9 @@ fn an_even_field_across_the_edge_of_the_pigments_law() {
     }
 }
 
-/// Audits of pictures behind pupils over the field, one wavelength, target 1e-3: a table of error and estimate. Where the plan does not refuse the
-/// target no audit's lower bound is above it. PUPIL and ECC in the environment take one of each, CONES more cones.
+/// Audits of pictures behind pupils over the field, one wavelength, target 1e-3: a table of error and
+/// estimate. Where the plan does not refuse the target no audit's lower bound is above it. PUPIL and ECC in
+/// the environment take one of each, CONES more cones.
 #[test]
 #[ignore = "some ten minutes"]
 fn targets_are_kept_behind_all_pupils() {

@@ -187,8 +187,8 @@ fn a_lit_pixel_is_seen_as_the_cie_says() {
     assert!(worst < 0.03, "{worst}");
 }
 
-/// From where its chief ray lands, degrees of the visual field, to where the light of a point at the gaze centre lies: the centroid of
-/// the image of a small pixel. Angles of scattered light count from there.
+/// From where its chief ray lands, degrees of the visual field, to where the light of a point at the gaze
+/// centre lies: the centroid of the image of a small pixel. Angles of scattered light count from there.
 fn image_offset_deg() -> [f64; 2] {
     let pitch = 0.5 / 60.0;
     let region = [-0.2, 0.2, -0.2, 0.2];

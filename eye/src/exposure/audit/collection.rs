@@ -1,15 +1,16 @@
 //! What one cone collects: for each primary the density, per µm² of retina, with which photons of a point of the screen are
 //! counted at the offset ρ of the cone from that point's image.
 //!
-//! Each source point has a PSF of its own. Around a cone at x they are traced at x itself and at a few source points beside it
-//! (two where the geometric spot is small, five elsewhere), and a source at an offset δ on the screen has the PSF
-//! `p(ρ; δ) = p₀(ρ) + Σ_s L_s(δ) [p_s − p₀](ρ)`, L the polynomials of the first or second degree through these points. ρ is the
-//! exact offset `−X(δ)`, X the map of chief rays about x to second order. The differences are taken at every fourth
-//! wavelength: they are small.
+//! Each source point has a PSF of its own. Around a cone at x they are traced at x itself and at a few source
+//! points beside it (two where the geometric spot is small, five elsewhere), and a source at an offset δ on
+//! the screen has the PSF `p(ρ; δ) = p₀(ρ) + Σ_s L_s(δ) [p_s − p₀](ρ)`, L the polynomials of the first or
+//! second degree through these points. ρ is the exact offset `−X(δ)`, X the map of chief rays about x to
+//! second order. The differences are taken at every fourth wavelength: they are small.
 //!
-//! `p(ρ) = Σ_λ fraction(λ)·caught(λ)·PSF_λ(ρ − shift(λ))` by PSFs at wavelengths of its own, sampled 2.5 times as finely as
-//! their cutoff asks and read by six-point polynomials. Outside of the window it is the wave from the pupil's edge
-//! ([`super::tail`]), with the light that is missing from the whole, which is known.
+//! `p(ρ) = Σ_λ fraction(λ)·caught(λ)·PSF_λ(ρ − shift(λ))` by PSFs at wavelengths of its own, sampled 2.5
+//! times as finely as their cutoff asks and read by six-point polynomials. Outside of the window it is the
+//! wave from the pupil's edge ([`super::tail`]), with the light that is missing from the whole, which is
+//! known.
 
 use glam::DVec2;
 use multiversion::multiversion;
@@ -45,7 +46,8 @@ pub struct Collection {
 }
 
 impl Collection {
-    /// For cones of a kind at a place (µm) and visual eccentricity (degrees), with an aperture about so wide (µm).
+    /// For cones of a kind at a place (µm) and visual eccentricity (degrees), with an aperture about so wide
+    /// (µm).
     ///
     /// # Errors
     /// When the place sees no screen or the pupil cannot be traced.

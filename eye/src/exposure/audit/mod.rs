@@ -5,9 +5,10 @@
 //! often, and a cone that wrongly got nothing comes too. `Σ|m − reference|/q` over samples estimates the sum over all cones.
 //!
 //! # Accuracy
-//! One line of light against Huygens' wavelets of every source point: lit cones at the fovea to 1e-4, at 10° to 4e-4 (3 mm) and 8e-4 (6 mm),
-//! at 20° to 3e-4 and, 8 mm, 7e-4. Distances within a PSF are taken to first order, which is what is left at large pupils beside the fovea. Tails
-//! are good to some per cent of themselves. Wavelengths are 10 or 7 nm apart, with cubics between.
+//! One line of light against Huygens' wavelets of every source point: lit cones at the fovea to 1e-4, at 10°
+//! to 4e-4 (3 mm) and 8e-4 (6 mm), at 20° to 3e-4 and, 8 mm, 7e-4. Distances within a PSF are taken to first
+//! order, which is what is left at large pupils beside the fovea. Tails are good to some per cent of
+//! themselves. Wavelengths are 10 or 7 nm apart, with cubics between.
 
 mod collection;
 mod direct;
@@ -35,7 +36,8 @@ use direct::{Cone, Lights};
 use optics::Optics;
 pub use verdict::{Verdict, verdict};
 
-/// Spacing of the wavelengths, nm: up to 4 mm of pupil, and beyond. At 3 mm 10 nm instead of 5 change L and M cones by 2e-5, S cones by 4e-4.
+/// Spacing of the wavelengths, nm: up to 4 mm of pupil, and beyond. At 3 mm 10 nm instead of 5 change L and M
+/// cones by 2e-5, S cones by 4e-4.
 const STEP_NM: [f64; 2] = [10.0, 7.0];
 /// Largest pupil of the first.
 const SMALL_PUPIL_MM: f64 = 4.0;

@@ -1,5 +1,5 @@
-//! The eye of the audit: point spread functions of one source point at wavelengths of the audit's own, and their sums weighted by
-//! a primary's light.
+//! The eye of the audit: point spread functions of one source point at wavelengths of the audit's own, and
+//! their sums weighted by a primary's light.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -13,21 +13,23 @@ use crate::optics::{BeamField, Projection};
 use crate::psf::sampled_fft::{Edge, psf as fast};
 use crate::psf::{GridAxes, PsfGrid, Wavefront, WavefrontOptions, psf};
 
-/// Window: at least so many µm each way, so many times the geometric spot and so many widths of the diffraction pattern.
+/// Window: at least so many µm each way, so many times the geometric spot and so many widths of the
+/// diffraction pattern.
 const LEAST_UM: f64 = 36.0;
 const SPOTS: f64 = 1.3;
 const WIDTHS: f64 = 12.0;
 /// Samples per sample that the cutoff asks, of a wavelength shorter than most.
 const FINER: f64 = 2.5;
-/// The same of a window that would have more than [`FAST_FROM`]: aberrations leave little at the cutoff of a large pupil.
+/// The same of a window that would have more than [`FAST_FROM`]: aberrations leave little at the cutoff of a
+/// large pupil.
 const FINER_WIDE: f64 = 1.75;
 const SHORT: f64 = 0.15;
 /// Samples across an aperture, at least, where the window is too large for finer ones.
 const PER_APERTURE: f64 = 8.0;
 /// Most samples across the window.
 const MOST_SAMPLES: usize = 2048;
-/// Samples from which a PSF comes from a fast transform of so many points across the pupil, at least: at 6 and 8 mm cones change by 1e-4
-/// from twice as many.
+/// Samples from which a PSF comes from a fast transform of so many points across the pupil, at least: at 6
+/// and 8 mm cones change by 1e-4 from twice as many.
 const FAST_FROM: usize = 448;
 const ACROSS: usize = 256;
 /// Points of a polynomial on either side.
@@ -85,8 +87,8 @@ impl Optics<'_> {
         nodes_nm.par_iter().map(one).collect()
     }
 
-    /// By wavelength: the share of a primary's photons whose spread that wavelength stands for, times what a kind of cone at an
-    /// eccentricity catches of them.
+    /// By wavelength: the share of a primary's photons whose spread that wavelength stands for, times what a
+    /// kind of cone at an eccentricity catches of them.
     pub fn weights(
         &self,
         waves: &[Wavefront],
@@ -105,8 +107,8 @@ impl Optics<'_> {
         weights
     }
 
-    /// The PSFs of a source point about its image at the reference wavelength, summed over wavelengths by each of several sets of
-    /// weights: of photons that enter a pupil of the reference wavelength's beam.
+    /// The PSFs of a source point about its image at the reference wavelength, summed over wavelengths by
+    /// each of several sets of weights: of photons that enter a pupil of the reference wavelength's beam.
     pub fn spreads(
         &self,
         point: &FieldPoint,
@@ -181,14 +183,15 @@ pub fn every(nodes_nm: &[f64], step: usize, step_nm: f64) -> Vec<usize> {
     kept
 }
 
-/// Radius of the geometric spot, µm. Wavelengths rise; the ends of the spectrum are far out of focus and give little.
+/// Radius of the geometric spot, µm. Wavelengths rise; the ends of the spectrum are far out of focus and give
+/// little.
 pub fn usual_spot_um(waves: &[Wavefront]) -> f64 {
     let at = |part: f64| &waves[(part * (waves.len() - 1) as f64).round() as usize];
     [SHORT, 0.5, 1.0 - SHORT].map(|part| spot_radius_um(at(part))).into_iter().fold(0.0, f64::max)
 }
 
-/// The window that holds all wavelengths' PSFs, and the shortest period in them, µm. One that is too large for [`MOST_SAMPLES`] has samples farther
-/// apart, as far as an aperture so wide (µm) averages over them.
+/// The window that holds all wavelengths' PSFs, and the shortest period in them, µm. One that is too large
+/// for [`MOST_SAMPLES`] has samples farther apart, as far as an aperture so wide (µm) averages over them.
 pub fn window(waves: &[Wavefront], aperture_um: f64) -> (PsfGrid, f64) {
     let width = |w: &Wavefront| {
         let radius = w.axes.x_axis.length().max(w.axes.y_axis.length());
@@ -209,7 +212,8 @@ pub fn window(waves: &[Wavefront], aperture_um: f64) -> (PsfGrid, f64) {
     (grid, period_um)
 }
 
-/// Weights of the cubic through the four nodes around a wavelength, those of the same stretch of light; the end's value beyond its ends.
+/// Weights of the cubic through the four nodes around a wavelength, those of the same stretch of light; the
+/// end's value beyond its ends.
 fn hats(nodes: &[f64], step_nm: f64, nm: f64, mut put: impl FnMut(usize, f64)) {
     let joined = |i: usize| nodes[i + 1] - nodes[i] <= step_nm * (1.0 + 1e-9);
     let above = nodes.partition_point(|node| *node < nm).min(nodes.len() - 1);

@@ -1,10 +1,12 @@
 //! The tail of a PSF, outside of the audit's window: waves from the pupil's edge.
 //!
-//! Far from where rays land, the field at ξ comes from the points of the pupil's edge whose normal points at ξ or away from it
-//! (Keller 1962). By the method of stationary phase, with A the amplitude there, κ the edge's curvature and W'' the second derivative of
-//! the path difference along it, both in direction cosines, ξ_e the landing point of the ray, Δ the distance from it along the normal n:
-//! `p = A² λ' / (4π² ∫A² Δ² (κ Δ + W''))`, `ξ = ξ_e + Δ n`. Both points give `λ'/(2π³ NA r³)` for an even disc. Fringes between them are
-//! narrower than cones and left out. In 1/r: `p = a/r³ (1 + b/r)`, `b = 3 ξ_e·n − W''/κ` weighted by a; used as `a/(r − b/3)³`.
+//! Far from where rays land, the field at ξ comes from the points of the pupil's edge whose normal points at
+//! ξ or away from it (Keller 1962). By the method of stationary phase, with A the amplitude there, κ the
+//! edge's curvature and W'' the second derivative of the path difference along it, both in direction cosines,
+//! ξ_e the landing point of the ray, Δ the distance from it along the normal n (`ξ = ξ_e + Δ n`):
+//! `p = A² λ' / (4π² ∫A² Δ² (κ Δ + W''))`. Both points give `λ'/(2π³ NA r³)` for an even disc. Fringes between them are
+//! narrower than cones and left out. In 1/r: `p = a/r³ (1 + b/r)`, `b = 3 ξ_e·n − W''/κ` weighted by a; used
+//! as `a/(r − b/3)³`.
 
 use std::f64::consts::{PI, TAU};
 
@@ -30,8 +32,8 @@ impl Tail {
         Self(vec![[0.0; 2]; DIRECTIONS])
     }
 
-    /// That of a wavefront, about a point from which its chief ray lands at `shift_um`: density per photon (1/µm² times r³), and the same
-    /// times µm.
+    /// That of a wavefront, about a point from which its chief ray lands at `shift_um`: density per photon
+    /// (1/µm² times r³), and the same times µm.
     pub fn new(w: &Wavefront, shift_um: DVec2) -> Self {
         let [by_x, by_y] = w.opd_um.gradient();
         let ([xx, xy], [_, yy]) = (by_x.gradient(), by_y.gradient());
@@ -123,8 +125,8 @@ mod tests {
     use crate::psf::polynomial::Polynomial2;
     use crate::psf::{PsfGrid, psf};
 
-    /// An even disc has λ'/(2π³ NA r³) about its image; tilted, about where its rays land; and a coma with a focus error has the
-    /// PSF's own mean over its fringes.
+    /// An even disc has λ'/(2π³ NA r³) about its image; tilted, about where its rays land; and a coma with a
+    /// focus error has the PSF's own mean over its fringes.
     #[test]
     fn tails_of_known_wavefronts() {
         let (na, r) = (0.08, 100.0);
