@@ -287,13 +287,17 @@ fn one_lit_pixel_at_three_millimetres() {
     assert!(found < 1e-3, "{found}");
 }
 
-/// Every pupil and eccentricity of the acceptance; PUPIL in the environment takes one pupil.
+/// Every pupil and eccentricity whose target the plan accepts; PUPIL in the environment takes one pupil.
 #[test]
 #[ignore = "an hour; a pupil of 3 mm some minutes"]
 fn one_lit_pixel_behind_all_pupils() {
     let only = std::env::var("PUPIL").ok().and_then(|p| p.parse::<f64>().ok());
     for pupil_mm in [3.0, 4.0, 6.0, 8.0].into_iter().filter(|p| only.is_none_or(|o| (o - p).abs() < 0.1)) {
         for ecc_deg in [0.0, 10.0, 20.0] {
+            if let Err(refused) = plan(&scene(POINT, pupil_mm, ecc_deg, 1e-3)) {
+                println!("{pupil_mm} mm, {ecc_deg}°: refused, {refused}");
+                continue;
+            }
             let found = one_pixel(pupil_mm, ecc_deg, 25, 20);
             assert!(found < 1e-3, "{pupil_mm} {ecc_deg}: {found}");
         }
@@ -338,12 +342,14 @@ fn the_audit_at_three_millimetres() {
 }
 
 /// The same with PUPIL, ECC, CONES, NODES, RINGS and LEAST from the environment: few rings give wrong tails.
+/// One setting is made by hand, so that the plan does not refuse what only the audit is asked about.
 #[test]
 #[ignore = "some minutes"]
 fn audited_cones_against_the_reference() {
     let pupil_mm = number("PUPIL", 6.0);
     let mut experiment = scene(POINT, pupil_mm, number("ECC", 0.0), 1e-3);
     experiment.audit_cones = number("CONES", 16.0) as u32;
+    experiment.counts.knobs.double_precision = Some(true);
     let rings = number("RINGS", rings(pupil_mm) as f64) as usize;
     let [_, audit] = audited(&experiment, number("LEAST", 0.1), number("NODES", 20.0) as usize, rings);
     assert!(audit < 1e-3, "{audit}");
