@@ -9,6 +9,7 @@ use super::PlannedTile;
 use super::engine::IMAGES;
 use super::setup::{Setup, UM_PER_TANGENT};
 use crate::experiment::{Engine, Experiment};
+use crate::exposure::audit::Work;
 use crate::exposure::padua::FieldNodes;
 use crate::exposure::spectral::KINDS;
 use crate::exposure::{KernelSpec, PolarShape, TABLE_TOLERANCE, TRANSFER_BLOCK};
@@ -203,30 +204,25 @@ struct AuditCost {
     bytes: f64,
 }
 
-/// The audit: point spreads every 10 or 7 nm over a window that holds them, as `exposure/audit/optics.rs`
-/// chooses it. Where they are wide they are traced at two or five source points beside the cone, too, at
-/// every fourth wavelength.
+/// The audit: the point spreads of each cone and of source points beside it.
 fn audit_cost(experiment: &Experiment, tiles: &[PlannedTile], blurs: &[Blur]) -> AuditCost {
-    let nodes = tiles.first().map_or(&[][..], |t| t.kernels.nodes_nm.as_slice());
-    let step_nm = if experiment.eye.pupil_mm > 4.0 { 7.0 } else { 10.0 };
-    let waves = (range_nm(nodes) / step_nm + 1.0).min(nodes.len() as f64 * 1.5);
     let tangents = blurs.iter().map(|blur| blur.tangents).sum::<f64>() / blurs.len().max(1) as f64;
-    // µm: the spot, and the shortest period of light of 450 nm and 550 nm.
+    // The spot, and diffraction of light of 550 nm and 450 nm, µm.
     let spot_um = 1.08 * UM_PER_TANGENT * tangents;
-    let period_um = |nm: f64| 1e-6 * nm * UM_PER_TANGENT / experiment.eye.pupil_mm;
-    let half_um = (1.3 * spot_um + 12.0 * period_um(550.0)).max(36.0);
-    let samples = |finer: f64| 4.0 * half_um * finer / period_um(450.0);
-    let fast = samples(2.5) > 448.0;
-    let side = if fast { samples(1.75) } else { samples(2.5) }.min(2048.0);
-    let beside = if tangents < 2.5e-3 { 2.0 } else { 5.0 };
-    let [each, sample] = if fast { AUDIT_FAST_SPREAD } else { AUDIT_SPREAD };
-    let spreads = waves * (1.0 + 0.25 * beside);
+    let pupil_mm = experiment.eye.pupil_mm;
+    let widths_um = [550.0, 450.0].map(|nm| 1e-6 * nm * UM_PER_TANGENT / pupil_mm);
+    let work = Work::new(pupil_mm, spot_um, tangents, widths_um);
+    let nodes = tiles.first().map_or(&[][..], |t| t.kernels.nodes_nm.as_slice());
+    let waves = (range_nm(nodes) / work.step_nm + 1.0).min(nodes.len() as f64 * 1.5);
+    let [each, sample] = if work.fast { AUDIT_FAST_SPREAD } else { AUDIT_SPREAD };
+    let (beside, samples) = (work.beside as f64, (work.samples * work.samples) as f64);
+    let spreads = waves * (1.0 + beside / work.sparse as f64);
     let primaries = super::lit::computed_primaries(experiment).max(1) as f64;
     let cones = f64::from(experiment.audit_cones);
     AuditCost {
-        seconds: cones * spreads * (each + sample * side * side),
+        seconds: cones * spreads * (each + sample * samples),
         // Sums by primary, four point spreads and their transforms.
-        bytes: cones.min(1.0) * side * side * 8.0 * (primaries * (2.0 + beside) + 12.0),
+        bytes: cones.min(1.0) * samples * 8.0 * (primaries * (2.0 + beside) + 12.0),
     }
 }
 

@@ -12,6 +12,7 @@ use super::chords::Chords;
 use super::matrix::PsfGrid;
 use super::polynomial::horner;
 use super::sincos::sin_cos_turns;
+use super::transfer_map::even_smooth;
 use super::wavefront::Wavefront;
 use glam::{DMat2, DVec2};
 use rustfft::FftPlanner;
@@ -42,7 +43,7 @@ pub fn psf(w: &Wavefront, grid: &PsfGrid, across: usize, edge: Edge) -> Vec<f64>
     let (_, longest) = chords.longest();
     let diameter = longest.max(2.0 * chords.half_height());
     let wanted = across.max(4) as f64 * wavelength / (grid.pitch_um() * diameter);
-    let size = fast_size((wanted.ceil() as usize).max(n)).min(MOST);
+    let size = even_smooth(wanted.ceil().max(n as f64)).min(MOST);
     let step = wavelength / (grid.pitch_um() * size as f64);
     let mut rows = pupil_rows(w, grid, &chords, (step, size, edge));
     // Along i within each row of the lattice (constant q_j), then along j for the wanted columns.
@@ -72,20 +73,6 @@ pub fn psf(w: &Wavefront, grid: &PsfGrid, across: usize, edge: Edge) -> Vec<f64>
     out
 }
 
-/// The smallest product of powers of 2, 3 and 5 that is not below n and even.
-fn fast_size(n: usize) -> usize {
-    let only_small = |mut n: usize| {
-        for prime in [2, 3, 5] {
-            while n.is_multiple_of(prime) {
-                n /= prime;
-            }
-        }
-        n == 1
-    };
-    // There is a power of two on the way.
-    (n.max(2)..=2 * n.max(2)).find(|n| n.is_multiple_of(2) && only_small(*n)).unwrap_or(n)
-}
-
 /// The lattice's rows that meet the pupil: (index along j, values along i). A pupil wider than the lattice is folded into it, which is
 /// exact for the samples of the point spread.
 fn pupil_rows(
@@ -111,12 +98,12 @@ fn pupil_rows(
             let chord = chords.at(((q_j - middle) / half).clamp(-1.0, 1.0).asin());
             let ends = [-0.5, 0.5].map(|side| (chord.middle + side * chord.length) / step);
             let mut row = vec![Complex64::ZERO; size];
-            // Cells of the lattice along the row that the chord meets.
             let across = (to_row * (q_j * e_j - w.centre)).y;
             let mut turns = vec![0.0; turns_of.degree() + 1];
             let mut amplitude = vec![0.0; amplitude_of.degree() + 1];
             turns_of.along_x(across, &mut turns);
             amplitude_of.along_x(across, &mut amplitude);
+            // Cells of the lattice along the row that the chord meets.
             let room = if edge == Edge::Covered { 0.5 } else { 0.0 };
             for ki in (ends[0] - room).ceil() as i64..=(ends[1] + room).floor() as i64 {
                 let covered = (ki as f64 + 0.5).min(ends[1]) - (ki as f64 - 0.5).max(ends[0]);

@@ -321,7 +321,7 @@ fn wrap(at: i64, n: usize) -> usize {
 }
 
 /// The next even size whose only prime factors are 2, 3 and 5.
-fn even_smooth(at_least: f64) -> usize {
+pub(super) fn even_smooth(at_least: f64) -> usize {
     let smooth = |mut n: usize| {
         for p in [2, 3, 5] {
             while n.is_multiple_of(p) {

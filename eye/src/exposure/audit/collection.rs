@@ -24,7 +24,7 @@ use crate::display::Emitter;
 use crate::psf::{PsfGrid, Wavefront};
 
 /// One of so many wavelengths is traced for what differs between source points.
-const SPARSE: usize = 4;
+pub const SPARSE: usize = 4;
 /// Samples beyond the offsets asked for that are read: polynomials, and the bend of the image between corners.
 const BESIDE: f64 = 8.0;
 

@@ -44,6 +44,40 @@ const SMALL_PUPIL_MM: f64 = 4.0;
 /// A wavelength of which less is caught by any kind of cone, against all, per nm, is left out.
 const NOTHING: f64 = 1e-6;
 
+/// Spacing of the wavelengths behind a pupil, nm.
+fn step_nm(pupil_mm: f64) -> f64 {
+    STEP_NM[usize::from(pupil_mm > SMALL_PUPIL_MM)]
+}
+
+/// What one audited cone takes.
+pub struct Work {
+    /// Spacing of its wavelengths, nm.
+    pub step_nm: f64,
+    /// Source points beside the cone's own place.
+    pub beside: usize,
+    /// One of so many wavelengths is traced for them.
+    pub sparse: usize,
+    /// Samples along a side of a point spread.
+    pub samples: usize,
+    /// Whether it comes from a fast transform.
+    pub fast: bool,
+}
+
+impl Work {
+    /// For a pupil, a geometric spot (radius, µm and unit tangents) and the widths of the diffraction patterns of a usual
+    /// and a short wavelength (µm).
+    pub fn new(pupil_mm: f64, spot_um: f64, spot: f64, widths_um: [f64; 2]) -> Self {
+        let (_, samples) = optics::size(spot_um, widths_um, f64::INFINITY);
+        Self {
+            step_nm: step_nm(pupil_mm),
+            beside: local::Stencil::new(spot).offsets().len(),
+            sparse: collection::SPARSE,
+            samples,
+            fast: optics::is_fast(samples),
+        }
+    }
+}
+
 /// One cone that was computed twice.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AuditSample {
@@ -165,7 +199,7 @@ impl Audited<'_> {
         if lit.is_empty() {
             lit.push(555.0);
         }
-        let step_nm = STEP_NM[usize::from(self.experiment.eye.pupil_mm > SMALL_PUPIL_MM)];
+        let step_nm = step_nm(self.experiment.eye.pupil_mm);
         Ok(Optics {
             projection: self.projection,
             beams: self.beams,

@@ -123,11 +123,7 @@ impl Optics<'_> {
             // The window stands about the image at the reference wavelength; the PSF of this one lies beside.
             let shift = to_tangents * (w.landing_um - point.landing_um);
             let grid = PsfGrid { centre_um: -shift, ..grid };
-            if grid.samples as f64 > FAST_FROM as f64 * FINER_WIDE / FINER {
-                fast(w, &grid, ACROSS, Edge::Covered)
-            } else {
-                psf(w, &grid)
-            }
+            if is_fast(grid.samples) { fast(w, &grid, ACROSS, Edge::Covered) } else { psf(w, &grid) }
         };
         let empty = |weights: &Vec<f64>| {
             let whole = waves.iter().map(|w| w.pupil_area_mm2 / beam_mm2 * w.throughput());
@@ -148,8 +144,7 @@ impl Optics<'_> {
                 }
             });
         }
-        for w in waves.iter().enumerate() {
-            let (wave, w) = w;
+        for (wave, w) in waves.iter().enumerate() {
             let tail = Tail::new(w, to_tangents * (w.landing_um - point.landing_um));
             for (spread, weights) in spreads.iter_mut().zip(weights) {
                 spread.tail.add(&tail, weights[wave] * w.pupil_area_mm2 / beam_mm2);
@@ -190,22 +185,32 @@ pub fn usual_spot_um(waves: &[Wavefront]) -> f64 {
     [SHORT, 0.5, 1.0 - SHORT].map(|part| spot_radius_um(at(part))).into_iter().fold(0.0, f64::max)
 }
 
-/// The window that holds all wavelengths' PSFs, and the shortest period in them, µm. One that is too large
-/// for [`MOST_SAMPLES`] has samples farther apart, as far as an aperture so wide (µm) averages over them.
-pub fn window(waves: &[Wavefront], aperture_um: f64) -> (PsfGrid, f64) {
-    let width = |w: &Wavefront| {
-        let radius = w.axes.x_axis.length().max(w.axes.y_axis.length());
-        w.wavelength_um() / (2.0 * radius)
-    };
-    let at = |part: f64| &waves[(part * (waves.len() - 1) as f64).round() as usize];
-    let half = (SPOTS * usual_spot_um(waves) + WIDTHS * width(at(0.5))).max(LEAST_UM);
-    let period_um = width(at(SHORT));
-    let samples = |finer: f64| (4.0 * half * finer / period_um).ceil() as usize;
+/// Half side of a window (µm) and its samples, for a geometric spot (radius, µm) and the widths of the diffraction
+/// patterns of a usual and a short wavelength (µm). One that is too large for [`MOST_SAMPLES`] has samples farther
+/// apart, as far as an aperture so wide (µm) averages over them.
+pub fn size(spot_um: f64, [usual_um, short_um]: [f64; 2], aperture_um: f64) -> (f64, usize) {
+    let half_um = (SPOTS * spot_um + WIDTHS * usual_um).max(LEAST_UM);
+    let samples = |finer: f64| (4.0 * half_um * finer / short_um).ceil() as usize;
     let finer = if samples(FINER) > FAST_FROM { FINER_WIDE } else { FINER };
-    let finest_um = 0.5 * period_um / finer;
-    let pitch_um = (2.0 * half / MOST_SAMPLES as f64).min(aperture_um / PER_APERTURE).max(finest_um);
-    let samples = ((2.0 * half / pitch_um).ceil() as usize).clamp(8 * REACH, MOST_SAMPLES);
-    let half_width_um = half.min(0.5 * pitch_um * samples as f64);
+    let finest_um = 0.5 * short_um / finer;
+    let pitch_um = (2.0 * half_um / MOST_SAMPLES as f64).min(aperture_um / PER_APERTURE).max(finest_um);
+    let samples = ((2.0 * half_um / pitch_um).ceil() as usize).clamp(8 * REACH, MOST_SAMPLES);
+    (half_um.min(0.5 * pitch_um * samples as f64), samples)
+}
+
+/// Whether PSFs of so many samples a side come from fast transforms.
+pub fn is_fast(samples: usize) -> bool {
+    samples as f64 > FAST_FROM as f64 * FINER_WIDE / FINER
+}
+
+/// The window that holds all wavelengths' PSFs, for an aperture about so wide (µm), and the shortest period in them, µm.
+pub fn window(waves: &[Wavefront], aperture_um: f64) -> (PsfGrid, f64) {
+    let width = |part: f64| {
+        let w = &waves[(part * (waves.len() - 1) as f64).round() as usize];
+        w.wavelength_um() / (2.0 * w.axes.x_axis.length().max(w.axes.y_axis.length()))
+    };
+    let period_um = width(SHORT);
+    let (half_width_um, samples) = size(usual_spot_um(waves), [width(0.5), period_um], aperture_um);
     let axes = GridAxes::Retina;
     let grid =
         PsfGrid { samples, half_width_um, centre_um: DVec2::ZERO, axes, nodes: None, fraunhofer: true };
