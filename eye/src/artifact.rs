@@ -93,7 +93,7 @@ impl ArtifactSpec {
         match self {
             Self::RetinaTile { .. } | Self::Cones { .. } | Self::MeasuredCones { .. } => 3,
             Self::Wavefronts(_) => 4,
-            Self::Kernels(_) => 13,
+            Self::Kernels(_) => 14,
         }
     }
 

@@ -16,7 +16,7 @@ use crate::retina::{
 use crate::video::ClipFormat;
 
 /// Version of the counts that an experiment gives; rises whenever the same experiment gives other counts.
-pub const COUNTS_VERSION: u32 = 14;
+pub const COUNTS_VERSION: u32 = 15;
 
 /// What a user asks for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

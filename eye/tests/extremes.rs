@@ -8,7 +8,8 @@ mod support;
 use photoneye_eye::display::{Channel, White};
 use photoneye_eye::experiment::{Engine, Experiment, Gaze, Movement, Pattern};
 use photoneye_eye::exposure::{ExposureError, Frame, FrameCounts};
-use photoneye_eye::plan::plan;
+use photoneye_eye::plan::largest::largest_mean;
+use photoneye_eye::plan::{plan, setup::setup};
 use photoneye_eye::spectrum::Spectrum;
 use photoneye_eye::video::{ClipFormat, Limits, Matrix, Picture, Range, Raw, Yuv, clip_info, decode_frame};
 use support::{WHITE, cached_exposure as exposure, figure_12, primary};
@@ -205,5 +206,23 @@ fn files_cut_anywhere_are_refused() {
             assert!(decode(end).is_err(), "{name} cut at {end}");
             let _ = info(end);
         }
+    }
+}
+
+/// The bound on a cone's count in a frame lies above what a white screen gives, within a factor of 20, at the fovea and
+/// at 20°.
+#[test]
+fn the_largest_count_is_bounded() {
+    for ecc_px in [0.0, 500.0] {
+        let mut experiment = figure_12(Pattern::Uniform { rgb: [1.0; 3] });
+        experiment.gaze.center_px[0] += ecc_px;
+        experiment.counts.poisson = false;
+        experiment.accuracy_target = 0.02;
+        let exposure = exposure(&experiment);
+        let FrameCounts::Means(means) = exposure.frame(0, None).unwrap().counts else { panic!("means") };
+        let most = means.into_iter().fold(0.0, f32::max);
+        let bound = largest_mean(&experiment, &setup(&experiment).unwrap()).unwrap() / f64::from(most);
+        println!("{ecc_px}: {bound}");
+        assert!((1.0..20.0).contains(&bound), "{ecc_px}: {bound}");
     }
 }

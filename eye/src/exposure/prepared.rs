@@ -16,6 +16,7 @@ use super::stray::Veil;
 use super::tail::{Looks, Tail};
 use super::{Exposure, ExposureError, Frame, FrameCounts, poisson, primaries};
 use crate::experiment::{Engine, Experiment};
+use crate::plan::largest::LARGEST_COUNT;
 use crate::plan::{Numerics, Rule};
 use crate::report::PhotonBudget;
 
@@ -32,6 +33,9 @@ impl Counter for Expected {
     fn frame(&self, prepared: &Prepared, exposure: &Exposure, shown: &Shown) -> Result<Frame, ExposureError> {
         let source = prepared.projector.frame(shown, &exposure.inputs.scene);
         let means = prepared.expected_means(exposure, self, (shown, &source));
+        if exposure.experiment.counts.poisson {
+            fits(&means.isomerized, exposure.dark())?;
+        }
         Ok(prepared.expected_frame(exposure, (shown, Some(&source)), &means))
     }
 
@@ -190,6 +194,18 @@ impl Prepared {
         let diagnostics = vec![("means clamped at 0".to_owned(), means.clamped)];
         Frame { counts, budget, diagnostics, photons: None }
     }
+}
+
+/// Refuses means whose counts would not fit: ten standard deviations from the largest count.
+fn fits(means: &[f64], dark: f64) -> Result<(), ExposureError> {
+    let most = means.iter().copied().fold(0.0, f64::max) + dark;
+    if most + 10.0 * most.sqrt() <= LARGEST_COUNT {
+        return Ok(());
+    }
+    Err(ExposureError::Model(format!(
+        "counts: a cone counts {most:.2e} photons in a frame, more than {LARGEST_COUNT}; take shorter frames, less \
+         light or counts.noise NONE"
+    )))
 }
 
 /// Counts of photons, and those without light drawn on top.

@@ -23,6 +23,11 @@ const AZIMUTHAL_PER_CYCLE: f64 = 2.0;
 /// Spot radius, in cycles per pupil radius, from which the fast transforms are less work.
 const MAP_FROM_TURNS: f64 = 1.5;
 
+/// Part of the tip over which its quadrature goes over into the fast transforms. They differ by some 1e-5, and a
+/// sudden step of that size would become light far from the source when moments are taken of the table
+/// ([`super::around`]): up to 6e-3 of all light for one lit pixel, 6 mm, 20°.
+const BLEND: f64 = 0.5;
+
 /// A point of the field.
 #[derive(Clone, Debug)]
 pub struct FieldPoint {
@@ -188,13 +193,7 @@ pub fn transfer_table(point: &FieldPoint, wavefront: &Wavefront, shape: PolarSha
     let step = shape.radius / last as f64;
     let inner = ((map.least() / (step * least)).ceil() as usize).min(last);
     let outer = ((map.most() / (step * most)).floor() as usize).clamp(inner, last);
-    let unit = |j: usize| point.frequency_map * shape.frequency(j, 1);
-    for (j, line) in table.chunks_mut(shape.radial).enumerate() {
-        let unit = unit(j);
-        for (i, value) in line.iter_mut().enumerate().take(outer + 1).skip(inner + 1) {
-            *value = map.value(unit * i as f64);
-        }
-    }
+    // Compute the tip and the end by quadrature.
     let tip = turns * step * inner as f64 * most;
     let mut left = vec![Ring::new([0, inner], [tip, tip], true)];
     if outer < last {
@@ -202,7 +201,26 @@ pub fn transfer_table(point: &FieldPoint, wavefront: &Wavefront, shape: PolarSha
         left.push(Ring::new([outer + 1, last], [whole - turns * map.most().min(band), whole], true));
     }
     rings(&otf, point, &mut table, shape, &left);
+    // Blend into the map over the outer half of the tip and as far into the end.
+    let width = (BLEND * inner as f64).max(1.0);
+    for (j, line) in table.chunks_mut(shape.radial).enumerate() {
+        let unit = point.frequency_map * shape.frequency(j, 1);
+        for (i, value) in line.iter_mut().enumerate() {
+            let inside = smooth_step(1.0 - (inner as f64 - i as f64) / width);
+            let outside = if outer < last { smooth_step((i as f64 - outer as f64) / width) } else { 0.0 };
+            let part = inside * (1.0 - outside);
+            if part > 0.0 {
+                *value = (1.0 - part) * *value + part * map.value(unit * i as f64);
+            }
+        }
+    }
     finish(point, wavefront, table, shape)
+}
+
+/// 0 below 0, 1 above 1, with two continuous derivatives.
+fn smooth_step(x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0);
+    x * x * x * (10.0 + x * (6.0 * x - 15.0))
 }
 
 impl Ring {
@@ -335,5 +353,41 @@ fn shift(table: &mut [Complex64], tangent: DVec2, shape: PolarShape) {
         for (i, value) in line.iter_mut().enumerate() {
             *value *= Complex64::cis(step * i as f64);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optics::{Dispersion, EyeState, Prescription, SchematicEye, Side};
+
+    /// Where quadrature and fast transforms meet, a table goes on smoothly: a step of 1e-5 between two radii would be
+    /// a twenty times larger sixth difference.
+    #[test]
+    fn tables_of_wide_psfs_are_smooth() {
+        let prescription = Prescription::preset("escudero-sanz-navarro").unwrap();
+        let state = EyeState {
+            pupil_mm: 6.0,
+            decentre_mm: 0.4,
+            accommodation_a: 0.0,
+            dispersion: Dispersion::Herzberger,
+            side: Side::Right,
+        };
+        let eye = SchematicEye::new(&prescription, &state).unwrap();
+        let projection = Projection::new(&eye, 8e3).unwrap();
+        let point = FieldPoint::at_tangent(&projection, DVec2::new(-0.36, 0.0)).unwrap();
+        let wave = &wavefronts(&projection, &point, &[543.0], 0.0).unwrap()[0];
+        let shape = PolarShape { radius: 3000.0, radial: 1200, azimuthal: 8 };
+        let table = transfer_table(&point, wave, shape).table;
+        let rough = |line: &[Complex64]| -> f64 {
+            // The tip's own slope ends at 0.
+            let six = line[8..].windows(7).map(|v| {
+                let ends = (v[0] + v[6]) - 6.0 * (v[1] + v[5]) + 15.0 * (v[2] + v[4]) - 20.0 * v[3];
+                ends.norm()
+            });
+            six.fold(0.0, f64::max)
+        };
+        let most = table.chunks(shape.radial).map(rough).fold(0.0, f64::max);
+        assert!(most < 2e-5, "{most:.1e}");
     }
 }

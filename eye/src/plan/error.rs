@@ -27,12 +27,13 @@ const STEP_10_NM: f64 = 5e-6;
 /// Error of a field of one point a degree along each side, with one, two or more points: squares of one pixel on patches of 0.9, 1.5 and 2.0°
 /// half their side: two points 2e-3, 5.6e-3 and 8.7e-3, three of 0.9° 3e-5, four of 1.5 and 2.0° 4e-5.
 const FIELD: [f64; 3] = [6e-3, 1.5e-2, 2e-3];
-/// Error of the map's bend over the square of the phase it turns, of an even picture. One line of light: 8 mm
-/// at 10, 20 and 30° (x = 1.1, 5.4 and 18) 3e-3, 1.6e-2 and 0.12; one lit pixel 6 mm at 20 and 30° (x = 1.6
-/// and 4.2) 3.8e-3 and 1.6e-2, larger pictures there a tenth of it.
-const BEND: f64 = 8e-4;
+/// Error of wide blurs beside the fovea over the square of the phase that the map's bend turns, of an even
+/// picture. One line of light: 8 mm at 10 and 20° (x = 1.1 and 5.4) 3.4e-4 and 4 to 5e-3, 6 mm at 20 and 30°
+/// (x = 1.6 and 4.2) 2.8e-4 and 1.1e-3 in all.
+const BEND: f64 = 1.5e-4;
 /// What it adds per sparsity of the picture above 1, over the bend in a blur: one lit pixel of one line, 3 mm
-/// at 20 and 30° 1.5e-3 and 2.5e-3 in all, 4 mm at 20° 2.0e-3, 6 mm at 10° 1.6e-3.
+/// at 20 and 30° 1.4e-3 and 2.3e-3 in all, 4 mm at 20° 1.7e-3, 6 mm at 20° 2.2e-3, 8 mm at 10 and 20° 4e-3
+/// and 9e-3.
 const BEND_OF_A_POINT: f64 = 0.4;
 /// Part of the copies' light that is left in the means after the tail's law is subtracted.
 const COPIES: f64 = 0.05;
@@ -104,7 +105,8 @@ pub fn field_part(tiles: &[PlannedTile], pupil_mm: f64) -> f64 {
 
 /// Error of the bend of the map from screen to retina within a wide blur. Kernels take it to first order: it
 /// turns the phase of the highest frequency by up to `x = 2π B b blur²`, of which x²/2 is left out, at the
-/// blur's edge.
+/// blur's edge. It grows with the place as what polynomials over the field leave does, where the edges of wide
+/// blurs move: both are in it.
 fn bend_part(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile]) -> f64 {
     let sparse = sparse(experiment);
     let of_tile = |tile: &PlannedTile| {

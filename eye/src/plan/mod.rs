@@ -5,6 +5,7 @@ mod band;
 mod cost;
 pub mod engine;
 mod error;
+pub mod largest;
 mod lit;
 mod numerics;
 mod omissions;
@@ -162,6 +163,7 @@ pub fn plan_on(experiment: &Experiment, machine: &Machine) -> Result<Plan, PlanE
     }
     let omissions = omissions::list(experiment, &setup, &tiles, &wavelengths);
     engine::check_list(experiment, &tiles)?;
+    largest::check(experiment, &setup)?;
     let engine_reason = engine::reason(experiment, &setup, &tiles, cost.cones);
     let count = tiles.len() as u32;
     let (artifacts, tile_artifacts) = artifacts(&setup, tiles, &cost)?;

@@ -1,0 +1,33 @@
+//! Counts that do not fit in 32 bits.
+
+use serde_json::json;
+use tempfile::tempdir;
+
+use crate::support::{photoneye, small_experiment, succeed};
+use crate::{assert_refused, run};
+
+/// 10⁶ cd/m² for 100 s through 9 mm: 10¹¹ photons a cone. Every count was 4,294,967,295, without a word.
+#[test]
+fn counts_beyond_32_bits_are_refused_and_means_are_not() {
+    let place = tempdir().unwrap();
+    let mut experiment = small_experiment(1);
+    experiment["eye"] = json!({"pupil_mm": 9});
+    experiment["display"]["white_luminance_cd_m2"] = json!(1e6);
+    experiment["display"]["frame_rate_hz"] = json!(0.01);
+    experiment["accuracy"]["target"] = json!(0.05);
+    let refused = run(place.path(), &experiment);
+    assert_refused(
+        place.path(),
+        &refused,
+        &["display.white_luminance_cd_m2", "1000000", "at most", "noise NONE"],
+    );
+
+    // Means have no end.
+    experiment["counts"]["noise"] = json!("NONE");
+    std::fs::write(place.path().join("spec.json"), experiment.to_string()).unwrap();
+    succeed(photoneye(place.path()).args(["run", "spec.json", "--out", "out"]));
+    let report: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(place.path().join("out/report.json")).unwrap()).unwrap();
+    let mean = report["frames"][0]["types"]["l"]["mean"].as_f64().unwrap();
+    assert!(mean > 1e10, "{mean}");
+}
