@@ -11,6 +11,7 @@ use photoneye_store::BlobDigest;
 use serde_json::Value;
 
 use crate::failure::{Failure, plain};
+use crate::recorded_gaze;
 
 /// Most bytes of an experiment; the server takes no more.
 const MAX_SPEC_BYTES: u64 = 1 << 20;
@@ -144,10 +145,14 @@ fn read_text(path: &Path) -> Result<String, Failure> {
     if text.len() as u64 > MAX_SPEC_BYTES {
         return Err(Failure::usage(format!("{}: larger than 1 MiB", path.display())));
     }
+    // Editors of Windows put a byte order mark first.
+    if let Some(rest) = text.strip_prefix('\u{feff}') {
+        return Ok(rest.to_owned());
+    }
     Ok(text)
 }
 
-/// Reads the CSV file of a recorded path: a header line, then time (s), x and y (arcmin).
+/// Reads the CSV file of a recorded path, if the experiment names one.
 fn fill_in_path(folder: &Path, experiment: &mut v1::Experiment) -> Result<(), Failure> {
     let movement = experiment.gaze.as_mut().and_then(|gaze| gaze.movement.as_mut());
     let Some(v1::movement::Kind::Recorded(path)) = movement.and_then(|movement| movement.kind.as_mut())
@@ -168,18 +173,8 @@ fn fill_in_path(folder: &Path, experiment: &mut v1::Experiment) -> Result<(), Fa
         return Err(wrong(format!("{length} bytes, allowed are {MAX_SPEC_BYTES}")));
     }
     let text = std::fs::read_to_string(&file).map_err(|e| wrong(plain(&e)))?;
-    for (number, line) in (1..).zip(text.lines()) {
-        if number == 1 || line.trim().is_empty() || line.starts_with('#') {
-            continue;
-        }
-        let cells: Vec<Option<f64>> = line.split(',').map(|cell| cell.trim().parse().ok()).collect();
-        let [Some(t_s), Some(x_arcmin), Some(y_arcmin)] = cells[..] else {
-            return Err(wrong(format!("line {number}: expected three numbers, t_s,x_arcmin,y_arcmin")));
-        };
-        path.t_s.push(t_s);
-        path.x_arcmin.push(x_arcmin);
-        path.y_arcmin.push(y_arcmin);
-    }
+    let read = recorded_gaze::read(&text).map_err(wrong)?;
+    (path.t_s, path.x_arcmin, path.y_arcmin) = (read.t_s, read.x_arcmin, read.y_arcmin);
     Ok(())
 }
 

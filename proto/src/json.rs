@@ -59,7 +59,8 @@ pub fn from_json<T: DeserializeOwned>(text: &str) -> Result<T, FieldError> {
 /// # Errors
 /// As [`from_json`].
 pub fn experiment_from_json(text: &str) -> Result<v1::Experiment, FieldError> {
-    from_json(text)
+    // A byte order mark, as editors of Windows put it first, does no harm.
+    from_json(text.strip_prefix('\u{feff}').unwrap_or(text))
 }
 
 /// The field path says more than the line does.

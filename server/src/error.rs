@@ -14,6 +14,8 @@ pub enum Kind {
     Invalid,
     /// There is no such thing.
     NotFound,
+    /// The path does not take the method.
+    WrongMethod,
     /// The request id came with another body before.
     OtherBody,
     /// Not now: what is asked for is not there yet, or not any more.
@@ -57,6 +59,7 @@ impl Error {
         match self.kind {
             Kind::Invalid => StatusCode::BAD_REQUEST,
             Kind::NotFound => StatusCode::NOT_FOUND,
+            Kind::WrongMethod => StatusCode::METHOD_NOT_ALLOWED,
             Kind::OtherBody => StatusCode::UNPROCESSABLE_ENTITY,
             Kind::NotReady => StatusCode::CONFLICT,
             Kind::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
@@ -73,6 +76,7 @@ impl Error {
         match self.kind {
             Kind::Invalid => tonic::Code::InvalidArgument,
             Kind::NotFound => tonic::Code::NotFound,
+            Kind::WrongMethod => tonic::Code::Unimplemented,
             Kind::OtherBody => tonic::Code::AlreadyExists,
             Kind::NotReady => tonic::Code::FailedPrecondition,
             Kind::TooLarge => tonic::Code::OutOfRange,

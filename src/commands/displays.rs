@@ -101,6 +101,21 @@ fn converted(entry: &Map<String, Value>, spectra_of: &str) -> Result<Value, Stri
         (None, None) => return Err("viewing_distance_meters: is missing".into()),
     };
     let white = needed("max_luminance")?;
+    if let Some(exposure) = number("exposure")?.filter(|exposure| (exposure - 1.0).abs() > 1e-12) {
+        return Err(format!(
+            "exposure: {exposure} is not taken, allowed is 1; multiply the linear values of the pictures instead"
+        ));
+    }
+    // A headset has the angle between its corners instead of a size.
+    let diagonal_cm = match number("fov_diagonal")? {
+        Some(degrees) if entry.get("diagonal_size_inches").is_none() => {
+            if !(1.0..179.0).contains(&degrees) {
+                return Err(format!("fov_diagonal: {degrees} is out of range, allowed is 1 to 179"));
+            }
+            2.0 * distance_cm * (0.5 * degrees.to_radians()).tan()
+        }
+        _ => INCH_CM * needed("diagonal_size_inches")?,
+    };
     let contrast = match (number("contrast")?, number("min_luminance")?) {
         (Some(contrast), _) => Some(contrast),
         (None, Some(black)) if black > 0.0 => Some(white / black),
@@ -110,7 +125,7 @@ fn converted(entry: &Map<String, Value>, spectra_of: &str) -> Result<Value, Stri
         "preset": spectra_of,
         "width_px": width,
         "height_px": height,
-        "pixel_pitch_cm": INCH_CM * needed("diagonal_size_inches")? / width.hypot(height),
+        "pixel_pitch_cm": diagonal_cm / width.hypot(height),
         "distance_cm": distance_cm,
         "white_luminance_cd_m2": white,
         "transfer": transfer(entry.get("colorspace").and_then(Value::as_str).unwrap_or("sRGB"))?,
@@ -128,20 +143,25 @@ fn converted(entry: &Map<String, Value>, spectra_of: &str) -> Result<Value, Stri
     Ok(display)
 }
 
+/// The transfer of a colour space: ColorVideoVDP shows BT.709 by the law of sRGB.
 fn transfer(colorspace: &str) -> Result<&'static str, String> {
     let lower = colorspace.to_lowercase();
-    if lower.contains("pq") || lower.contains("2100") {
+    let has = |words: &[&str]| words.iter().any(|word| lower.contains(word));
+    let known = "sRGB, P3, BT.709, BT.1886, PQ and linear";
+    if has(&["hlg"]) {
+        Err(format!(
+            "colorspace: `{colorspace}` has the transfer HLG, which is not served; served are {known}"
+        ))
+    } else if has(&["pq"]) {
         Ok("PQ")
-    } else if lower.contains("linear") {
+    } else if has(&["linear"]) {
         Ok("LINEAR")
-    } else if lower.contains("srgb") || lower.contains("p3") {
+    } else if has(&["srgb", "p3", "709"]) {
         Ok("SRGB")
-    } else if lower.contains("709") || lower.contains("1886") || lower.contains("2020") {
+    } else if has(&["1886"]) {
         Ok("BT1886")
     } else {
-        Err(format!(
-            "colorspace: `{colorspace}` is not known, known are sRGB, P3, BT.709, BT.2020, PQ and linear"
-        ))
+        Err(format!("colorspace: `{colorspace}` has no known transfer; known are {known}"))
     }
 }
 
@@ -166,6 +186,21 @@ mod tests {
         assert!(photoneye_proto::experiment_from_json(&spec.to_string()).is_ok());
     }
 
+    /// PQ stays absolute PQ, BT.709 is shown by the law of sRGB; a headset has an angle instead of a size.
+    #[test]
+    fn colour_spaces_and_headsets_keep_their_meaning() {
+        for (name, ours) in [("BT.2020-PQ", "PQ"), ("BT.709", "SRGB"), ("BT.2020-linear", "LINEAR")] {
+            assert_eq!(transfer(name), Ok(ours));
+        }
+        let headset = json!({
+            "resolution": [1440, 1600], "viewing_distance_meters": 3, "fov_diagonal": 110, "max_luminance": 100,
+        });
+        let display = converted(headset.as_object().unwrap(), "oled").unwrap();
+        // The tangent of 55° times 3 m is half of a diagonal of 2152.6 pixels.
+        let pitch_cm = display["pixel_pitch_cm"].as_f64().unwrap();
+        assert!((pitch_cm / (2.0 * 300.0 * 1.428_148 / 2_152.580) - 1.0).abs() < 1e-6, "{pitch_cm}");
+    }
+
     #[test]
     fn what_is_missing_or_odd_is_named() {
         let whole = json!({
@@ -177,6 +212,8 @@ mod tests {
             ("viewing_distance_inches", Value::Null),
             ("max_luminance", json!(-1)),
             ("colorspace", json!("XYZ")),
+            ("colorspace", json!("BT.2020-HLG")),
+            ("exposure", json!(4)),
         ] {
             let mut entry = whole.clone();
             entry[field] = value;

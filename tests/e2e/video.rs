@@ -91,13 +91,13 @@ fn every_kind_of_file_gives_the_same_counts() {
 fn a_recorded_path_comes_from_a_file_or_the_spec() {
     let place = tempdir().unwrap();
     let place = place.path();
-    fs::write(place.join("path.csv"), "t_s,x_arcmin,y_arcmin\n0,0,0\n0.01,2,-1\n0.02,2,0\n").unwrap();
+    fs::write(place.join("path.csv"), "t_s,x_arcmin,y_arcmin\n0,0,0\n0.02,2,-1\n0.04,2,0\n").unwrap();
     let with = |recorded: Value| {
         let mut spec = small_experiment(2);
         spec["gaze"] = json!({"movement": {"recorded": recorded}});
         counts(place, &spec)
     };
-    let given = with(json!({"t_s": [0, 0.01, 0.02], "x_arcmin": [0, 2, 2], "y_arcmin": [0, -1, 0]}));
+    let given = with(json!({"t_s": [0, 0.02, 0.04], "x_arcmin": [0, 2, 2], "y_arcmin": [0, -1, 0]}));
     assert!(with(json!({"file": "path.csv"})) == given);
     fs::write(place.join("path.csv"), "t_s,x_arcmin,y_arcmin\n0,0\n").unwrap();
     let mut spec = small_experiment(1);

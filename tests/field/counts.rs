@@ -3,8 +3,8 @@
 use serde_json::json;
 use tempfile::tempdir;
 
-use crate::support::{photoneye, small_experiment, succeed};
-use crate::{assert_refused, run};
+use crate::support::small_experiment;
+use crate::{assert_refused, report, run};
 
 /// 10⁶ cd/m² for 100 s through 9 mm: 10¹¹ photons a cone. Every count was 4,294,967,295, without a word.
 #[test]
@@ -24,10 +24,7 @@ fn counts_beyond_32_bits_are_refused_and_means_are_not() {
 
     // Means have no end.
     experiment["counts"]["noise"] = json!("NONE");
-    std::fs::write(place.path().join("spec.json"), experiment.to_string()).unwrap();
-    succeed(photoneye(place.path()).args(["run", "spec.json", "--out", "out"]));
-    let report: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(place.path().join("out/report.json")).unwrap()).unwrap();
+    let report = report(place.path(), &experiment);
     let mean = report["frames"][0]["types"]["l"]["mean"].as_f64().unwrap();
     assert!(mean > 1e10, "{mean}");
 }

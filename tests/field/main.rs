@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 mod counts;
+mod gaze;
+mod luminance;
 #[path = "../e2e/support.rs"]
 #[allow(dead_code, reason = "shared with the end-to-end tests")]
 mod support;
@@ -18,6 +20,15 @@ use support::{photoneye, texts};
 fn run(folder: &Path, experiment: &Value) -> Output {
     std::fs::write(folder.join("spec.json"), experiment.to_string()).unwrap();
     photoneye(folder).args(["run", "spec.json", "--out", "out"]).output().unwrap()
+}
+
+/// Runs an experiment in a folder and gives its report.
+fn report(folder: &Path, experiment: &Value) -> Value {
+    let output = run(folder, experiment);
+    assert!(output.status.success(), "{}", texts(&output).1);
+    let report = std::fs::read(folder.join("out/report.json")).unwrap();
+    std::fs::remove_dir_all(folder.join("out")).unwrap();
+    serde_json::from_slice(&report).unwrap()
 }
 
 /// Asserts a refusal, exit code 2, whose last line has all words; nothing is left behind.

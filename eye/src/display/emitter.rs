@@ -155,12 +155,17 @@ pub fn emitters(display: &Display) -> Result<Vec<Emitter>, String> {
 impl Display {
     /// Retinal illuminance by a white screen and the room light on it, through a pupil (diameter, mm), trolands.
     pub fn white_trolands(&self, pupil_mm: f64) -> f64 {
-        let white = match self.white {
-            White::LuminanceCdM2(luminance) => luminance,
-            White::Lumens(_) => self.pixel_lumens() / self.lumens_of(1.0),
-        };
+        let white = self.white_cd_m2();
         let room: f64 = self.primaries.iter().filter(|p| p.channel == Channel::Room).map(|p| p.power).sum();
         (white + room) * std::f64::consts::FRAC_PI_4 * pupil_mm * pupil_mm
+    }
+
+    /// Luminance of full white, without the room's light, cd/m².
+    pub fn white_cd_m2(&self) -> f64 {
+        match self.white {
+            White::LuminanceCdM2(luminance) => luminance,
+            White::Lumens(_) => self.pixel_lumens() / self.lumens_of(1.0),
+        }
     }
 
     /// Luminous flux of one fully white pixel, lm.

@@ -6,16 +6,15 @@
 mod emitter;
 mod panel;
 mod scan;
+mod transfer;
 mod waveform;
 
-use std::sync::OnceLock;
-
-use multiversion::multiversion;
 use serde::{Deserialize, Serialize};
 
 pub use emitter::{Emitter, PhotonSample, emitters, photon_shares, pupil_share, pupil_share_at};
 pub use panel::{Levels, Panel, Place, step, stepped};
 pub use scan::Scan;
+pub use transfer::{Curve, Transfer};
 pub use waveform::{FORGOTTEN, MAX_HISTORY, Part, Timing, Waveform, light_until};
 
 use crate::experiment::{RangeError, check_range};
@@ -55,95 +54,6 @@ pub enum White {
     LuminanceCdM2(f64),
     /// Luminous flux of the whole screen, lm.
     Lumens(f64),
-}
-
-/// From pixel value (0 to 1) to relative light (0 to 1).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Transfer {
-    /// IEC 61966-2-1.
-    Srgb,
-    /// ITU-R BT.1886 with black at 0: the power 2.4.
-    Bt1886,
-    /// The value itself.
-    Linear,
-    /// SMPTE ST 2084, full scale (10 000 cd/m²) at the display's white.
-    Pq,
-}
-
-/// Pixel values of 8-bit pictures with their light.
-type Steps = [(f32, f64); 256];
-
-/// Looks up the light of pixel values; `false` where some are not those of an 8-bit picture.
-#[multiversion(targets("x86_64+avx2"))]
-fn look_up(steps: &Steps, values: &[f32], light: &mut [f64]) -> bool {
-    let mut others = 0;
-    for (light, value) in light.iter_mut().zip(values) {
-        // Rounded; never outside the table.
-        let step = (*value * 255.0 + 0.5).clamp(0.0, 255.0) as u8;
-        let (known, of_known) = steps[usize::from(step)];
-        others |= known.to_bits() ^ value.to_bits();
-        *light = of_known;
-    }
-    others == 0
-}
-
-impl Transfer {
-    /// Relative light of a pixel value.
-    pub fn light(self, value: f64) -> f64 {
-        match self {
-            Self::Srgb if value <= 0.04045 => value / 12.92,
-            Self::Srgb => ((value + 0.055) / 1.055).powf(2.4),
-            Self::Bt1886 => value.powf(2.4),
-            Self::Linear => value,
-            Self::Pq => {
-                let root = value.powf(32.0 / 2523.0);
-                ((root - 0.8359375).max(0.0) / (18.8515625 - 18.6875 * root)).powf(16384.0 / 2610.0)
-            }
-        }
-    }
-
-    /// As [`Transfer::light`] of a clamped value; values of 8-bit pictures are looked up (the same numbers, ten times as fast).
-    fn light_of_pixel(self, steps: &Steps, value: f32) -> f64 {
-        // Rounded; a negative number or none becomes 0.
-        let step = (value * 255.0 + 0.5) as usize;
-        match steps.get(step) {
-            Some((known, light)) if known.to_bits() == value.to_bits() => *light,
-            Some(_) | None => self.light(f64::from(value).clamp(0.0, 1.0)),
-        }
-    }
-
-    /// The values i/255 with their light.
-    fn steps(self) -> &'static Steps {
-        static TABLES: OnceLock<[Steps; 4]> = OnceLock::new();
-        let tables = TABLES.get_or_init(|| {
-            [Self::Srgb, Self::Bt1886, Self::Linear, Self::Pq].map(|transfer| {
-                std::array::from_fn(|i| {
-                    let value = i as f32 / 255.0;
-                    (value, transfer.light(f64::from(value)))
-                })
-            })
-        });
-        &tables[match self {
-            Self::Srgb => 0,
-            Self::Bt1886 => 1,
-            Self::Linear => 2,
-            Self::Pq => 3,
-        }]
-    }
-
-    /// Pixel value of a relative light: the inverse of [`Transfer::light`].
-    pub fn value(self, light: f64) -> f64 {
-        match self {
-            Self::Srgb if light <= 0.04045 / 12.92 => light * 12.92,
-            Self::Srgb => 1.055 * light.powf(1.0 / 2.4) - 0.055,
-            Self::Bt1886 => light.powf(1.0 / 2.4),
-            Self::Linear => light,
-            Self::Pq => {
-                let root = light.powf(2610.0 / 16384.0);
-                ((0.8359375 + 18.8515625 * root) / (1.0 + 18.6875 * root)).powf(2523.0 / 32.0)
-            }
-        }
-    }
 }
 
 /// How light leaves the screen.
@@ -297,14 +207,10 @@ impl Display {
             return;
         }
         let (black, white) = (self.black, 1.0 - self.black);
-        let steps = self.transfer.steps();
+        let curve = self.curve();
         let one = |i: usize, light: &mut [f64]| {
             let values: Vec<f32> = rgb.chunks_exact(3).take(light.len()).map(|rgb| rgb[i]).collect();
-            if !look_up(steps, &values, light) {
-                for (light, value) in light.iter_mut().zip(&values) {
-                    *light = self.transfer.light_of_pixel(steps, *value);
-                }
-            }
+            curve.light_of_row(&values, light);
         };
         if let Some(i) = channel.index() {
             one(i, light);
@@ -322,14 +228,20 @@ impl Display {
         }
     }
 
+    /// From pixel values to relative light.
+    pub fn curve(&self) -> Curve {
+        Curve::new(self.transfer, self.white_cd_m2())
+    }
+
     /// As [`Display::light`], above black.
     pub fn driven(&self, channel: Channel, rgb: &[f32], place: Place) -> f64 {
+        let curve = self.curve();
         let light = |i: usize| {
             let value = f64::from(rgb[i]).clamp(0.0, 1.0);
             match self.panel.levels {
-                Levels::Continuous => self.transfer.light_of_pixel(self.transfer.steps(), rgb[i]),
-                Levels::Values { bits, dither } => self.transfer.light(stepped(value, bits, dither, place)),
-                Levels::Planes { bits, dither } => stepped(self.transfer.light(value), bits, dither, place),
+                Levels::Continuous => curve.light_of_pixel(rgb[i]),
+                Levels::Values { bits, dither } => curve.light(stepped(value, bits, dither, place)),
+                Levels::Planes { bits, dither } => stepped(curve.light(value), bits, dither, place),
             }
         };
         match channel {
@@ -364,21 +276,5 @@ impl Primary {
         check_range(&format!("{path}.spot_sd_px"), self.spot_sd_px, 0.0, 10.0)?;
         self.waveform.validate(&format!("{path}.waveform"), frame_rate_hz)?;
         self.spectrum.validate(&format!("{path}.spectrum"))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Transfer;
-
-    #[test]
-    fn values_of_8_bit_pictures_are_looked_up_exactly() {
-        for transfer in [Transfer::Srgb, Transfer::Bt1886, Transfer::Linear, Transfer::Pq] {
-            for value in (0..=255).map(|i| i as f32 / 255.0).chain([0.3, -1.0, 2.0, f32::MIN_POSITIVE]) {
-                let exact = transfer.light(f64::from(value).clamp(0.0, 1.0));
-                let found = transfer.light_of_pixel(transfer.steps(), value);
-                assert_eq!(found.to_bits(), exact.to_bits(), "{value}");
-            }
-        }
     }
 }

@@ -176,7 +176,7 @@ fn bit_light(display: &Display, channel: Channel, rgb: &[f32], place: Place, bit
     };
     let weight = f64::from(1_u32 << bit) / f64::from((1_u32 << bits) - 1);
     let one = |i: usize| {
-        let light = display.transfer.light(f64::from(rgb[i]).clamp(0.0, 1.0));
+        let light = display.curve().light(f64::from(rgb[i]).clamp(0.0, 1.0));
         if step(light, bits, dither, place) >> bit & 1 == 1 { weight } else { 0.0 }
     };
     match channel {

@@ -60,7 +60,7 @@ pub fn sparsity(experiment: &Experiment) -> f64 {
         return 1.0;
     }
     let picture = draw(pattern, display, &experiment.gaze);
-    let light = picture.rgb.iter().map(|v| display.transfer.light(f64::from(*v).clamp(0.0, 1.0)));
+    let light = picture.rgb.iter().map(|v| display.curve().light(f64::from(*v).clamp(0.0, 1.0)));
     let (sum, squares) = light.fold((0.0, 0.0), |(sum, squares), l| (sum + l, squares + l * l));
     if sum > 0.0 { (squares * picture.rgb.len() as f64).sqrt() / sum } else { 1.0 }
 }

@@ -72,7 +72,9 @@ pub fn choose(
     let from = cut(&mut catches.iter().map(|c| c.1));
     let to = catches.len()
         - cut(&mut catches.iter().rev().map(|c| c.1)).min(catches.len().saturating_sub(from + 1));
-    let outside = catches[..from].iter().chain(&catches[to..]).map(|c| c.1).sum();
+    let outside = catches[..from].iter().chain(&catches[to..]).map(|c| c.1).sum::<f64>();
+    // A sum of nothing is -0.
+    let outside = outside + 0.0;
     let mut lit: Vec<f64> = catches[from.min(to)..to].iter().map(|c| c.0).collect();
     // A display without light has no share anywhere: one wavelength, so that there are kernels to multiply it with.
     if lit.is_empty() {

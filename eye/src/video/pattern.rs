@@ -46,7 +46,7 @@ fn pixel(pattern: &Pattern, display: &Display, gaze: &Gaze, column: u32, row: u3
             let cycles = cycles_per_degree * (at.x * cos + at.y * sin);
             let light =
                 0.5 * (1.0 + contrast * (std::f64::consts::TAU * cycles + phase_deg.to_radians()).cos());
-            [display.transfer.value(light.clamp(0.0, 1.0)); 3]
+            [display.curve().value(light.clamp(0.0, 1.0)); 3]
         }
         Pattern::Sweep { from_cycles_per_degree, to_cycles_per_degree, contrast, rgb } => {
             // The phase is the integral of the frequency from the left edge.
@@ -55,7 +55,7 @@ fn pixel(pattern: &Pattern, display: &Display, gaze: &Gaze, column: u32, row: u3
             let rise = (to_cycles_per_degree - from_cycles_per_degree) / width;
             let cycles = from_cycles_per_degree * x + 0.5 * rise * x * x;
             let light = 0.5 * (1.0 + contrast * (std::f64::consts::TAU * cycles).cos());
-            rgb.map(|v| display.transfer.value((light * display.transfer.light(v)).clamp(0.0, 1.0)))
+            rgb.map(|v| display.curve().value((light * display.curve().light(v)).clamp(0.0, 1.0)))
         }
         Pattern::Checkerboard { square_px } => {
             let white = (column / square_px + row / square_px).is_multiple_of(2);
@@ -87,8 +87,8 @@ fn chart_pixel(chart: &SloanChart, charts: &[Layout], display: &Display, column:
         if ink >= 1.0 {
             return chart.ink_rgb[i];
         }
-        let light = |v: f64| display.transfer.light(v);
-        display.transfer.value(light(paper[i]) * (1.0 - ink) + light(chart.ink_rgb[i]) * ink)
+        let light = |v: f64| display.curve().light(v);
+        display.curve().value(light(paper[i]) * (1.0 - ink) + light(chart.ink_rgb[i]) * ink)
     })
 }
 

@@ -92,7 +92,7 @@ impl Prepared {
         let rule = gauss(nodes);
         let mut sources = Vec::new();
         for (pixel, rgb) in picture.rgb.chunks_exact(3).enumerate() {
-            let light = display.transfer.light(f64::from(rgb[0]));
+            let light = display.curve().light(f64::from(rgb[0]));
             if light <= 0.0 {
                 continue;
             }

@@ -7,9 +7,9 @@ use std::time::Duration;
 use axum::body::Body;
 use axum::extract::State;
 use axum::response::sse::{Event, KeepAlive, Sse};
-use axum::response::{IntoResponse as _, Response};
+use axum::response::{IntoResponse, Response};
 use axum::{Extension, Json};
-use futures::{Stream, StreamExt as _};
+use futures::StreamExt as _;
 use http::{HeaderMap, StatusCode, header};
 use photoneye_proto::{FieldError, experiment_from_json, v1};
 use serde::Deserialize;
@@ -91,7 +91,7 @@ pub(super) async fn events(
     State(service): Shared,
     Path(id): Path<String>,
     headers: HeaderMap,
-) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Error> {
+) -> Result<impl IntoResponse, Error> {
     let last = headers.get("last-event-id").map(|last| {
         let number = last.to_str().ok().and_then(|text| text.parse().ok());
         number.ok_or_else(|| FieldError::new("Last-Event-ID", "is not a number"))
@@ -100,7 +100,9 @@ pub(super) async fn events(
     let events = events.map(|event| {
         let data = serde_json::to_string(&event.job).unwrap_or_default();
         let seq = event.seq().to_string();
-        Ok(Event::default().id(seq).retry(Duration::from_secs(1)).data(data))
+        Ok::<_, Infallible>(Event::default().id(seq).retry(Duration::from_secs(1)).data(data))
     });
-    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
+    // A proxy such as nginx passes events on as they come only when it is told.
+    let at_once = [("x-accel-buffering", "no")];
+    Ok((at_once, Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE))))
 }

@@ -57,9 +57,7 @@ pub fn routes(service: Arc<Service>) -> Router {
 
 async fn wrong_method(request: Request) -> Response {
     let message = format!("{} does not take {}", request.uri().path(), request.method());
-    let mut response = Error::new(Kind::Invalid, message).into_response();
-    *response.status_mut() = http::StatusCode::METHOD_NOT_ALLOWED;
-    response
+    Error::new(Kind::WrongMethod, message).into_response()
 }
 
 /// For paths that neither door knows.

@@ -46,6 +46,8 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
         frames,
     };
     experiment.validate().map_err(field_error)?;
+    let (gaze, rate) = (&experiment.gaze, experiment.display.frame_rate_hz);
+    scene::recording_covers(spec.gaze.as_ref(), gaze, experiment.frames, rate)?;
     if is_auto(spec.counts.as_ref()) {
         // What cannot be planned is refused by the plan, which says why.
         experiment.counts.engine = automatic(&experiment).unwrap_or(Engine::Expected);

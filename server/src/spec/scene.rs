@@ -204,6 +204,40 @@ fn recorded(spec: &movement::Recorded) -> Result<Movement, FieldError> {
     Ok(Movement::Recorded((0..count).map(sample).collect()))
 }
 
+/// Refuses a recorded gaze whose samples do not cover the frames, unless it says that the eye holds.
+///
+/// # Errors
+/// The times of recording and frames, and what is possible.
+pub fn recording_covers(
+    spec: Option<&v1::Gaze>,
+    gaze: &Gaze,
+    frames: u32,
+    frame_rate_hz: f64,
+) -> Result<(), FieldError> {
+    use movement::recorded::Extend;
+    let movement = spec.and_then(|gaze| gaze.movement.as_ref());
+    let Some(movement::Kind::Recorded(recorded)) = movement.and_then(|movement| movement.kind.as_ref())
+    else {
+        return Ok(());
+    };
+    let extend =
+        choice("gaze.movement.recorded.extend", recorded.extend, Extend::Refuse, Extend::as_str_name)?;
+    let Movement::Recorded(samples) = &gaze.movement else { return Ok(()) };
+    let ([first, ..], [last, ..]) = (samples[0], samples[samples.len() - 1]);
+    let end = f64::from(frames) / frame_rate_hz;
+    // The last sample holds for an interval, and so may the first.
+    let interval = (last - first) / (samples.len().max(2) - 1) as f64;
+    let slack = interval + 1e-9;
+    if extend == Extend::Hold || (first <= slack && last + slack >= end) {
+        return Ok(());
+    }
+    let message = format!(
+        "the samples are from {first} to {last} s, the frames from 0 to {end:.6} s; allowed are samples that cover the \
+         frames, or `extend: HOLD`"
+    );
+    Err(FieldError::new("gaze.movement.recorded.t_s", message))
+}
+
 fn tremor(spec: &movement::Tremor) -> Tremor {
     let default = Tremor::default();
     Tremor {

@@ -237,6 +237,7 @@ async fn every_other_path_answers() {
         let answer = http(address, method, path, &[], b"").await;
         assert_eq!(answer.status, status, "{path}: {}", answer.text());
         assert!(answer.head.contains("application/problem+json"), "{path}");
+        assert_eq!(answer.json()["status"], status, "{path}");
     }
     let large = vec![b' '; (1 << 20) + 1];
     assert_eq!(http(address, "POST", "/v1/jobs", &[], &large).await.status, 413);

@@ -35,7 +35,9 @@ async fn is_said(server: &Handle, id: &str) {
     let job = get(address, &format!("/v1/jobs/{id}")).await.json();
     assert_eq!((&job["state"], &job["warnings"]), (&json!("SUCCEEDED"), &json!([SAID])));
     assert_eq!(get(address, "/v1/jobs").await.json()["jobs"][0]["warnings"], json!([SAID]));
-    let events = get(address, &format!("/v1/jobs/{id}/events")).await.text();
+    let events = get(address, &format!("/v1/jobs/{id}/events")).await;
+    assert!(events.head.contains("x-accel-buffering: no"), "{}", events.head);
+    let events = events.text();
     assert!(events.contains(SAID), "{events}");
     let report = get(address, &format!("/v1/jobs/{id}/report")).await.json();
     assert_eq!(report["warnings"], json!([SAID]));
