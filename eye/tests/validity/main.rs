@@ -9,6 +9,7 @@
 
 mod cones;
 mod direction;
+mod events;
 mod media;
 mod paper;
 mod pupil;

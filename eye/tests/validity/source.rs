@@ -260,7 +260,7 @@ fn rings(pupil_mm: f64) -> usize {
     (10.0 + 6.0 * pupil_mm + 0.6 * pupil_mm * pupil_mm) as usize
 }
 
-fn letter() -> Pattern {
+pub fn letter() -> Pattern {
     Pattern::SloanChart(SloanChart {
         rows: vec![ChartRow { letters: "K".into(), stroke_arcmin: 7.5 }],
         paper_rgb: [1.0; 3],
@@ -305,7 +305,7 @@ fn one_lit_pixel_behind_all_pupils() {
 }
 
 /// A number from the environment.
-fn number(name: &str, or: f64) -> f64 {
+pub fn number(name: &str, or: f64) -> f64 {
     std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(or)
 }
 
