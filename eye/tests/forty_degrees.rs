@@ -84,5 +84,8 @@ fn light_from_forty_degrees_is_counted_where_it_is_seen() {
 #[test]
 fn what_a_wide_pupil_spreads_there_is_refused() {
     let refused = plan(&far(8.0)).unwrap_err().to_string();
-    assert!(refused.starts_with("accuracy.target: 0.02 is out of range, allowed is none"), "{refused}");
+    let allowed = refused.strip_prefix("accuracy.target: 0.02 is out of range, allowed is ");
+    let least: f64 = allowed.and_then(|text| text.split(' ').next()).unwrap().parse().unwrap();
+    // At 30° even fields are off by 6e-2.
+    assert!(least > 0.06, "{refused}");
 }
