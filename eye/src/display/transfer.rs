@@ -1,8 +1,9 @@
 //! From pixel values to relative light.
 //!
 //! sRGB, BT.1886 and linear values are relative to the display's white. PQ codes are absolute (SMPTE ST 2084): a code
-//! stands for a luminance whatever the screen, `Y = 10 000 cd/m² · max(r − c₁, 0)/(c₂ − c₃ r))^(1/m₁)`, r = V^(1/m₂);
-//! what is brighter than the display's white is shown as white.
+//! stands for a luminance whatever the screen, `Y = 10 000 cd/m² · (max(r − c₁, 0)/(c₂ − c₃ r))^(1/m₁)` with r = V^(1/m₂),
+//! c = 107/128, 2413/128, 2392/128, m = 2610/16384, 2523/32; what is brighter than the display's white is shown as
+//! white.
 
 use std::sync::OnceLock;
 
