@@ -21,8 +21,8 @@ pub struct RecordedGaze {
     pub y_arcmin: Vec<f64>,
 }
 
-/// Reads a file's text. Commas, semicolons or tabs separate cells; lines that start with # are remarks; a byte order
-/// mark and carriage returns do no harm.
+/// Reads a file's text. Commas, semicolons or tabs separate cells; lines that start with # are comments; a byte
+/// order mark and carriage returns are ignored.
 ///
 /// # Errors
 /// The line and what is wrong: a header with other or missing columns, or a cell that is no number.
@@ -32,7 +32,7 @@ pub fn read(text: &str) -> Result<RecordedGaze, String> {
         (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
 
     // Find the columns in the header.
-    let (number, header) = lines.next().ok_or("is empty; expected a header line and a line a sample")?;
+    let (number, header) = lines.next().ok_or("is empty; expected a header line and a line per sample")?;
     let separator = [';', '\t'].into_iter().find(|mark| header.contains(*mark)).unwrap_or(',');
     let names: Vec<&str> = header.split(separator).map(|name| name.trim().trim_matches('"')).collect();
     let columns = [TIMES, RIGHT, UP].map(|allowed| find(&names, &allowed));
@@ -94,7 +94,7 @@ mod tests {
         for same in [
             "t_s,y_arcmin,x_arcmin\n0,2,5\n0.5,3,6\n",
             "\u{feff}t_ms;x_arcmin;y_arcmin\r\n0;5;2\r\n500;6;3\r\n",
-            "# a remark\nx_deg\tt_s\ty_arcmin\n0.08333333333333333\t0\t2\n0.1\t0.5\t3\n",
+            "# a comment\nx_deg\tt_s\ty_arcmin\n0.08333333333333333\t0\t2\n0.1\t0.5\t3\n",
         ] {
             let read = read(same).unwrap();
             assert_eq!(read.t_s, plain.t_s, "{same}");

@@ -133,6 +133,7 @@ impl ArtifactSpec {
     /// [`BuildError::Input`] for an input that is missing or damaged, [`BuildError::Model`] when the model refuses.
     pub fn build(&self, inputs: &[Input]) -> Result<Built, BuildError> {
         match self {
+            // Grow the cones of a tile.
             Self::RetinaTile { params, tile } => {
                 let tile = build_tile(params, *tile).map_err(|e| BuildError::Model(e.to_string()))?;
                 Ok(Built {
@@ -142,6 +143,7 @@ impl ArtifactSpec {
                     diagnostics: events(tile.counts),
                 })
             }
+            // Put the cones of tiles together.
             Self::Cones { tiles, region } => {
                 let tiles = read_tiles(tiles, inputs)?;
                 let retina = Retina::assemble(&tiles, region);
@@ -152,6 +154,7 @@ impl ArtifactSpec {
                     diagnostics: Vec::new(),
                 })
             }
+            // Take the cones from an uploaded table.
             Self::MeasuredCones { table, params, region } => {
                 let retina = measured(input(blob_key(table)?, inputs)?, params, region)?;
                 Ok(Built {
@@ -161,10 +164,12 @@ impl ArtifactSpec {
                     diagnostics: events(retina.cones.counts),
                 })
             }
+            // Trace the wavefronts over the field.
             Self::Wavefronts(spec) => {
                 let table = spec.build().map_err(|e| BuildError::Model(e.to_string()))?;
                 Ok(Built::without_cones(table.to_bytes().map_err(BuildError::Model)?))
             }
+            // Compute the kernels, with the table of wavefronts if there is one.
             Self::Kernels(spec) => {
                 let keys = self.inputs().map_err(|e| BuildError::Model(e.to_string()))?;
                 let table = keys.first().map(|key| {

@@ -6,7 +6,7 @@ use tempfile::tempdir;
 use crate::support::small_experiment;
 use crate::{assert_refused, report, run};
 
-/// 10⁶ cd/m² for 100 s through 9 mm: 10¹¹ photons a cone. Every count was 4,294,967,295, without a word.
+/// 10⁶ cd/m² for 100 s through 9 mm: 10¹¹ photons a cone. Every count was silently 4,294,967,295.
 #[test]
 fn counts_beyond_32_bits_are_refused_and_means_are_not() {
     let place = tempdir().unwrap();
@@ -22,7 +22,7 @@ fn counts_beyond_32_bits_are_refused_and_means_are_not() {
         &["display.white_luminance_cd_m2", "1000000", "at most", "noise NONE"],
     );
 
-    // Means have no end.
+    // Means have no upper limit.
     experiment["counts"]["noise"] = json!("NONE");
     let report = report(place.path(), &experiment);
     let mean = report["frames"][0]["types"]["l"]["mean"].as_f64().unwrap();

@@ -1,4 +1,4 @@
-//! Inputs from real use that once gave a wrong answer without a word. Each has the right value, or a refusal that names
+//! Inputs from real use that once gave a wrong answer silently. Each has the right value, or a refusal that names
 //! field, value and remedy.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 

@@ -1,8 +1,9 @@
 //! From pixel values to relative light.
 //!
 //! sRGB, BT.1886 and linear values are relative to the display's white. PQ codes are absolute (SMPTE ST 2084): a code
-//! stands for a luminance whatever the screen, `Y = 10 000 cd/m² · (max(r − c₁, 0)/(c₂ − c₃ r))^(1/m₁)` with r = V^(1/m₂),
-//! c = 107/128, 2413/128, 2392/128, m = 2610/16384, 2523/32; what is brighter than the display's white is shown as
+//! stands for a luminance whatever the screen,
+//! `Y = 10 000 cd/m² · (max(r − c₁, 0)/(c₂ − c₃ r))^(1/m₁)` with `r = V^(1/m₂)`,
+//! c = 107/128, 2413/128, 2392/128, m = 2610/16384, 2523/32. What is brighter than the display's white is shown as
 //! white.
 
 use std::sync::OnceLock;
@@ -99,7 +100,8 @@ impl Transfer {
         }
     }
 
-    /// As [`Transfer::light`] of a clamped value; values of 8-bit pictures are looked up (the same numbers, ten times as fast).
+    /// As [`Transfer::light`] of a clamped value; values of 8-bit pictures are looked up (the same numbers, ten
+    /// times as fast).
     fn light_of_pixel(self, steps: &Steps, value: f32) -> f64 {
         // Rounded; a negative number or none becomes 0.
         let step = (value * 255.0 + 0.5) as usize;

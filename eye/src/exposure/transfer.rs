@@ -23,8 +23,8 @@ const AZIMUTHAL_PER_CYCLE: f64 = 2.0;
 /// Spot radius, in cycles per pupil radius, from which the fast transforms are less work.
 const MAP_FROM_TURNS: f64 = 1.5;
 
-/// Part of the tip over which its quadrature goes over into the fast transforms. They differ by 1e-5 to 2e-4, and a
-/// sudden step of that size would become rings of light far from the source when moments are taken of the table
+/// Part of the tip over which its quadrature goes over into the fast transforms. They differ slightly, and a
+/// sudden step would become rings of light far from the source when moments are taken of the table
 /// ([`super::around`]).
 const BLEND: f64 = 0.5;
 

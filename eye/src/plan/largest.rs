@@ -67,8 +67,8 @@ pub fn check(experiment: &Experiment, setup: &Setup) -> Result<(), PlanError> {
         White::Lumens(lumens) => ("display.lumens", lumens),
     };
     let allowed = format!(
-        "at most {:.2e} in frames of {:.3e} s, since a cone could count {most:.1e} photons and a count ends at \
-         {LARGEST_COUNT}; counts.noise NONE gives means without an end",
+        "at most {:.2e} in frames of {:.3e} s, since a cone could count {most:.1e} photons and the largest count is \
+         {LARGEST_COUNT}; counts.noise NONE gives means, which have no upper limit",
         value * LARGEST_COUNT / most,
         1.0 / experiment.display.frame_rate_hz,
     );
