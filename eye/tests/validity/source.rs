@@ -379,7 +379,8 @@ fn even_fields_across_the_kinks_of_pigments() {
 
 /// Audits of pictures behind pupils over the field, one wavelength, target 1e-3: a table of error and
 /// estimate. Where the plan does not refuse the target no audit's lower bound is above it. PUPIL and ECC in
-/// the environment take one of each, CONES more cones.
+/// the environment take one of each, CONES more cones. BY_HAND=1 gives one setting by hand, so that what the
+/// plan refuses is computed too, and prints the table only: the constants of `plan/error.rs` come from there.
 #[test]
 #[ignore = "some ten minutes"]
 fn targets_are_kept_behind_all_pupils() {
@@ -397,12 +398,14 @@ fn targets_are_kept_behind_all_pupils() {
         let one = std::env::var(name).ok().and_then(|v| v.parse().ok());
         one.map_or(all.to_vec(), |v| vec![v])
     };
+    let by_hand = number("BY_HAND", 0.0) > 0.0;
     let mut missed = Vec::new();
     for pupil_mm in only("PUPIL", &[2.0, 3.0, 4.0, 6.0, 8.0]) {
         for ecc_deg in only("ECC", &[0.0, 10.0, 20.0, 30.0]) {
             for (name, picture) in pictures.clone() {
                 let audit_cones = number("CONES", 8.0) as u32;
-                let experiment = Experiment { audit_cones, ..scene(picture, pupil_mm, ecc_deg, 1e-3) };
+                let mut experiment = Experiment { audit_cones, ..scene(picture, pupil_mm, ecc_deg, 1e-3) };
+                experiment.counts.knobs.double_precision = by_hand.then_some(true);
                 if let Err(refused) = plan(&experiment) {
                     println!("{pupil_mm} mm, {ecc_deg:2}°, {name:6}: refused, {refused}");
                     continue;
@@ -425,5 +428,5 @@ fn targets_are_kept_behind_all_pupils() {
             }
         }
     }
-    assert!(missed.is_empty(), "{missed:?}");
+    assert!(by_hand || missed.is_empty(), "{missed:?}");
 }
