@@ -81,6 +81,11 @@ const BASIS_SHARE: f64 = 0.4;
 /// The same for one lit pixel: the basis' error is a mean over places, and the light is at one of them. At 1e-3 on 6 x 6 to 60 x 60 pixels 0.45
 /// leaves 1.0e-3 to 1.5e-3, 0.2 4e-4 to 7e-4 (60 x 60: 1.1e-3).
 const BASIS_SHARE_OF_A_POINT: f64 = 0.2;
+/// The same for patches farther than [`FAR_DEG`] from the fovea, where kernels differ more over a tile: 0.4 leaves
+/// 1.6e-3 of squares of two pixels at 2 mm and 30°, 0.2 the figures of `targets_are_kept` (test `validity`).
+const BASIS_SHARE_FAR: f64 = 0.2;
+/// Visual eccentricity of the patch's middle from which on the basis is finer, degrees.
+const FAR_DEG: f64 = 15.0;
 /// Catch of a type of cone that is not computed, per accuracy target.
 pub const BLIND: f64 = 1e-3;
 /// Largest pupil up to which coarse targets take wavelengths every 20 nm and usual ones every 15 nm: at 3 mm 20 nm cost 2e-4 to 4e-4 in one lit
@@ -91,6 +96,17 @@ const LOSS: f64 = 0.25;
 /// The same for one lit pixel, in whose surroundings the light of the cut band rings: at 1e-3, 10° from the
 /// fovea, 0.25 leaves an L1 of 1.5e-3 in cones that see only tails, 0.03 7e-4.
 const LOSS_OF_A_POINT: f64 = 0.04;
+
+/// Visual eccentricity of the middle of the patch, or of the screen where no patch is given, degrees.
+fn middle_deg(experiment: &Experiment) -> f64 {
+    if let Some([x_min, x_max, y_min, y_max]) = experiment.retina.region_deg {
+        return f64::midpoint(x_min, x_max).hypot(f64::midpoint(y_min, y_max));
+    }
+    let display = &experiment.display;
+    let [x, y] = experiment.gaze.center_px;
+    let away_px = (0.5 * f64::from(display.width_px) - x).hypot(0.5 * f64::from(display.height_px) - y);
+    (away_px * display.pixel_pitch_cm / display.distance_cm).atan().to_degrees()
+}
 
 impl Numerics {
     /// The settings of an experiment.
@@ -109,8 +125,12 @@ impl Numerics {
         // Photons are of one wavelength node or the next, which gains only the second power of the step.
         let drawn = experiment.counts.engine == Engine::Events;
         let point = matches!(experiment.video, Video::Pattern(Pattern::Point { .. }));
-        let [basis_share, loss] =
-            if point { [BASIS_SHARE_OF_A_POINT, LOSS_OF_A_POINT] } else { [BASIS_SHARE, LOSS] };
+        let far = middle_deg(experiment) > FAR_DEG;
+        let (basis_share, loss) = match (point, far) {
+            (true, _) => (BASIS_SHARE_OF_A_POINT, LOSS_OF_A_POINT),
+            (false, true) => (BASIS_SHARE_FAR, LOSS),
+            (false, false) => (BASIS_SHARE, LOSS),
+        };
         Self {
             wavelength_step_nm: experiment.counts.wavelength_step_nm.unwrap_or(if coarse && small {
                 20.0
