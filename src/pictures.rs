@@ -5,7 +5,9 @@ use std::path::Path;
 
 use photoneye_eye::experiment::Experiment;
 use photoneye_eye::movement::Gaze;
+use photoneye_eye::optics::Screen;
 use photoneye_eye::picture::{ConeShapes, RgbImage, View, encode_srgb, srgb_light};
+use photoneye_eye::plan::setup::{fixation, gaze};
 use photoneye_store::table::{ConeColumns, read_cones_file};
 use serde_json::Value;
 
@@ -99,6 +101,7 @@ fn shapes(cones: &ConeColumns) -> ConeShapes {
 /// The mean of frames after each was moved back by the eye's movement, as a PNG viewer sees them.
 struct Mean {
     gaze: Gaze,
+    screen: Screen,
     frame_rate_hz: f64,
     /// Picture pixels per visual degree.
     px_per_deg: f64,
@@ -111,9 +114,10 @@ impl Mean {
     /// `None` when the report does not say how the eye moved.
     fn new(report: &Value, cones: &ConeColumns, shapes: &ConeShapes, picture_px: u32) -> Option<Self> {
         let spec: Experiment = serde_json::from_value(report.get("spec")?.clone()).ok()?;
-        let frame_s = 1.0 / spec.display.frame_rate_hz;
+        let fixation = fixation(&spec).ok()?;
         Some(Self {
-            gaze: Gaze::new(&spec.gaze, spec.display.distance_cm, spec.frames, frame_s).ok()?,
+            gaze: gaze(&spec, &fixation).ok()?,
+            screen: fixation.screen,
             frame_rate_hz: spec.display.frame_rate_hz,
             px_per_deg: um_per_deg(cones)? * f64::from(picture_px) / extent_um(shapes),
             size: None,
@@ -129,10 +133,8 @@ impl Mean {
             self.sum = vec![[0.0; 4]; width * height];
         }
         let tangent = self.gaze.screen_tangent((index as f64 + 0.5) / self.frame_rate_hz);
-        let shift = [
-            tangent.x.atan().to_degrees() * self.px_per_deg,
-            -tangent.y.atan().to_degrees() * self.px_per_deg,
-        ];
+        let moved_deg = self.screen.visual_deg(tangent);
+        let shift = [moved_deg.x * self.px_per_deg, -moved_deg.y * self.px_per_deg];
         let light = srgb_light().map(|light| light as f32);
         for (row, sums) in self.sum.chunks_exact_mut(width).enumerate() {
             for (column, sum) in sums.iter_mut().enumerate() {

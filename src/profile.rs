@@ -5,7 +5,9 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use glam::DVec2;
 use photoneye_eye::experiment::{Experiment, Pattern, Video};
+use photoneye_eye::video::ScreenView;
 use photoneye_eye::video::reader::{self, Cones, Signal};
 use photoneye_eye::video::sweep::{self, Contrast, cut_off};
 use photoneye_store::table::ConeColumns;
@@ -33,7 +35,8 @@ pub fn write(folder: &Path) -> Result<String, Failure> {
     for index in 0..counts.frames {
         sums.iter_mut().zip(counts.frame(index)?).for_each(|(sum, value)| *sum += value);
     }
-    let signals = signals(&cones, &sums, &experiment);
+    let view = ScreenView::of(&experiment).map_err(|e| Failure::failed(e.to_string()))?;
+    let signals = signals(&cones, &sums, &view);
     let profile = columns(&signals);
     let mut csv = String::from("x_deg,signal\n");
     for (x, signal) in &profile {
@@ -52,7 +55,13 @@ pub fn write(folder: &Path) -> Result<String, Failure> {
     if let Video::Pattern(Pattern::Sweep { from_cycles_per_degree, to_cycles_per_degree, .. }) =
         &experiment.video
     {
-        let pixel_deg = experiment.display.pixel_radians().to_degrees();
+        let [pixel_deg, _] = view.pixel_deg();
+        // The sweep is even in pixels.
+        let mut signals = signals;
+        for signal in &mut signals {
+            let px = view.px_at(DVec2::new(signal.x_deg, signal.y_deg));
+            signal.x_deg = px.map_or(signal.x_deg, |px| (px.x - view.gaze_px.x) * pixel_deg);
+        }
         let left_deg = -experiment.gaze.center_px[0] * pixel_deg;
         let width_deg = f64::from(experiment.display.width_px) * pixel_deg;
         let range = [*from_cycles_per_degree, *to_cycles_per_degree];
@@ -89,9 +98,8 @@ fn save(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
 }
 
 /// Cones on the picture, with their signal.
-fn signals(cones: &ConeColumns, sums: &[f64], experiment: &Experiment) -> Vec<Signal> {
-    let (display, centre) = (&experiment.display, experiment.gaze.center_px);
-    let pixel_deg = display.pixel_radians().to_degrees();
+fn signals(cones: &ConeColumns, sums: &[f64], view: &ScreenView) -> Vec<Signal> {
+    let display = view.display;
     let half = 0.5 * f64::from(display.height_px);
     let columns = Cones {
         x_deg: &cones.x_deg,
@@ -100,8 +108,9 @@ fn signals(cones: &ConeColumns, sums: &[f64], experiment: &Experiment) -> Vec<Si
         aperture_um2: &cones.aperture_um2,
     };
     reader::signals(&columns, sums, |x_deg, y_deg| {
-        let (column, row) = (centre[0] + x_deg / pixel_deg, centre[1] - y_deg / pixel_deg);
-        (0.0..f64::from(display.width_px)).contains(&column) && (row - half).abs() < HEIGHT * half
+        view.px_at(DVec2::new(x_deg, y_deg)).is_some_and(|px| {
+            (0.0..f64::from(display.width_px)).contains(&px.x) && (px.y - half).abs() < HEIGHT * half
+        })
     })
 }
 

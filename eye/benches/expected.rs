@@ -18,7 +18,7 @@ use photoneye_eye::display::Channel;
 use photoneye_eye::experiment::{Experiment, Pattern, Video};
 use photoneye_eye::exposure::{Exposure, FrameCounts};
 use photoneye_eye::spectrum::Spectrum;
-use photoneye_eye::video::{Picture, draw};
+use photoneye_eye::video::{Picture, ScreenView, draw};
 use support::{figure_12, primary};
 
 /// Scenes of Figures 12 and 13 and some that are hard.
@@ -71,7 +71,7 @@ fn main() {
         }
         experiment.counts.poisson = false;
         let Video::Pattern(pattern) = &experiment.video else { continue };
-        let picture = draw(pattern, &experiment.display, &experiment.gaze);
+        let picture = draw(pattern, &ScreenView::frontal(&experiment.display, &experiment.gaze));
         let rgb = picture.rgb.iter().map(|value| 1.0 - value).collect();
         let film: &[Picture; 2] = Box::leak(Box::new([Picture { rgb, ..picture.clone() }, picture]));
         let mut reference = experiment.clone();

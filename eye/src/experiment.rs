@@ -150,6 +150,16 @@ pub struct Clip {
     pub format: ClipFormat,
 }
 
+/// Where a size in visual degrees holds on the screen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum SizesHold {
+    /// At the gaze centre; everywhere else the pattern has the same size in pixels.
+    #[default]
+    AtGaze,
+    /// Everywhere: coordinates are visual angles from the line of sight, along their directions.
+    Everywhere,
+}
+
 /// Drawn pictures. Pixel values are display inputs 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Pattern {
@@ -168,6 +178,9 @@ pub enum Pattern {
         orientation_deg: f64,
         /// 0: a maximum at the gaze centre.
         phase_deg: f64,
+        /// Where the frequency holds.
+        #[serde(default)]
+        sizes_hold: SizesHold,
     },
     /// Black and white squares, white at the top left.
     Checkerboard {

@@ -11,7 +11,7 @@ use photoneye_eye::exposure::{FrameCounts, cone_columns};
 use photoneye_eye::optics::{Dispersion, EyeState, Prescription, Projection, SchematicEye, Side};
 use photoneye_eye::plan::plan;
 use photoneye_eye::spectrum::Spectrum;
-use photoneye_eye::video::{Picture, draw};
+use photoneye_eye::video::{Picture, ScreenView, draw};
 use support::{WHITE, cached_exposure as exposure, cached_retina as retina, figure_12, primary};
 
 /// One line of light, few pixels, means: a test takes little time.
@@ -97,7 +97,7 @@ fn a_flash_freezes_movement_and_a_steady_light_smears_it() {
 fn ghosts_have_the_closed_forms_light() {
     let mut experiment = small(WHITE);
     experiment.display.panel = Panel { lag_ms: 10.0, levels: Levels::Continuous };
-    let white = draw(&WHITE, &experiment.display, &experiment.gaze);
+    let white = draw(&WHITE, &ScreenView::frontal(&experiment.display, &experiment.gaze));
     let black = Picture { rgb: vec![0.0; white.rgb.len()], ..white };
     let full: f64 = means_of(&experiment, 0, Some(&white), &[]).iter().sum();
     let folds = (1.0 / 60.0) / 10e-3;

@@ -16,7 +16,7 @@ use photoneye_eye::experiment::{Clip, Experiment, Movement, Pattern, Video};
 use photoneye_eye::exposure::FrameCounts;
 use photoneye_eye::plan::{Rule, plan};
 use photoneye_eye::spectrum::Spectrum;
-use photoneye_eye::video::{ClipFormat, draw};
+use photoneye_eye::video::{ClipFormat, ScreenView, draw};
 use support::{cached_exposure, figure_12, primary};
 
 /// Single precision of images and means.
@@ -162,8 +162,9 @@ fn primaries_that_show_the_same() {
 fn pictures_of_a_clip_are_joined_one_by_one() {
     let mut e = scene();
     e.display.primaries = figure_12(support::WHITE).display.primaries;
-    let gray = draw(&Pattern::Checkerboard { square_px: 2 }, &e.display, &e.gaze);
-    let coloured = draw(&Pattern::Uniform { rgb: [1.0, 0.5, 0.5] }, &e.display, &e.gaze);
+    let gray = draw(&Pattern::Checkerboard { square_px: 2 }, &ScreenView::frontal(&e.display, &e.gaze));
+    let coloured =
+        draw(&Pattern::Uniform { rgb: [1.0, 0.5, 0.5] }, &ScreenView::frontal(&e.display, &e.gaze));
     let pattern = cached_exposure(&e);
     e.video = Video::Clip(Clip { blobs: vec![String::new()], format: ClipFormat::default() });
     let clip = cached_exposure(&e);

@@ -9,10 +9,10 @@ use glam::DVec2;
 use photoneye_eye::display::{Channel, Levels, Panel, Transfer, White};
 use photoneye_eye::experiment::{ChartRow, Experiment, Gaze, Movement, Pattern, SloanChart};
 use photoneye_eye::exposure::{ConeColumns, FrameCounts, cone_columns};
-use photoneye_eye::movement;
+use photoneye_eye::plan::setup;
 use photoneye_eye::spectrum::Spectrum;
 use photoneye_eye::video::reader::{Cones, Seen, Signal, read_row, signals};
-use photoneye_eye::video::{PlacedLetter, placed_letters, sweep};
+use photoneye_eye::video::{PlacedLetter, ScreenView, placed_letters, sweep};
 use support::{cached_exposure as exposure, cached_retina as retina, figure_12, primary};
 
 /// A laser print of 1200 dpi under room light, in one spectrum.
@@ -92,7 +92,7 @@ fn figure_13_acuity_in_one_wavelength_and_in_broadband_light() {
     let read = |spectrum: Spectrum| {
         let mut experiment = print(Pattern::SloanChart(chart.clone()), spectrum, [260, 190]);
         experiment.frames = 4;
-        let letters = placed_letters(&chart, &experiment.display, &experiment.gaze);
+        let letters = placed_letters(&chart, &ScreenView::frontal(&experiment.display, &experiment.gaze));
         assert_eq!(letters.len(), 30);
         rows_read(&experiment, &letters, rows.len(), 4)
     };
@@ -143,9 +143,9 @@ fn figure_16_the_mean_of_five_frames_beats_one() {
     still.frames = 20;
     let mut moving = still.clone();
     moving.gaze.movement = Movement::Drift { speed_arcmin_per_s: 30.0, direction_deg: 30.0 };
-    let letters = placed_letters(&chart, &still.display, &still.gaze);
+    let letters = placed_letters(&chart, &ScreenView::frontal(&still.display, &still.gaze));
     let columns = cone_columns(&still, &retina(&still)).unwrap();
-    let gaze = movement::Gaze::new(&moving.gaze, 50.0, 20, 1.0 / 60.0).unwrap();
+    let gaze = setup::gaze(&moving, &setup::fixation(&moving).unwrap()).unwrap();
     let (mut rest, mut single, mut mean, mut right) = (0.0, 0.0, 0.0, [0; 2]);
     for group in 0..2 {
         let frames: Vec<Seen> = (5 * group..5 * group + 5)

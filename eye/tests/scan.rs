@@ -8,7 +8,7 @@ use photoneye_eye::display::{Channel, Scan, Waveform};
 use photoneye_eye::experiment::{Engine, Experiment, Gaze, Movement, PaperSettings, Pattern};
 use photoneye_eye::exposure::{FrameCounts, cone_columns};
 use photoneye_eye::spectrum::Spectrum;
-use photoneye_eye::video::{Picture, draw};
+use photoneye_eye::video::{Picture, ScreenView, draw};
 use support::{cached_exposure as exposure, cached_retina as retina, figure_12, primary};
 
 const SIDE: u32 = 8;
@@ -58,7 +58,8 @@ fn an_eye_at_rest_sees_no_scan() {
 fn a_moving_eye_sees_each_pixel_at_its_time() {
     let scan = Scan { share: 0.95, line: 0.8 };
     let scanned = tube(Some(scan), 300.0);
-    let picture = draw(&Pattern::Checkerboard { square_px: 2 }, &scanned.display, &scanned.gaze);
+    let picture =
+        draw(&Pattern::Checkerboard { square_px: 2 }, &ScreenView::frontal(&scanned.display, &scanned.gaze));
     let mut sum: Vec<f64> = Vec::new();
     for pixel in 0..SIDE * SIDE {
         let at = 3 * pixel as usize;
@@ -87,7 +88,7 @@ fn rows_change_one_after_the_other() {
     let mut held = tube(None, 0.0);
     let scan = Scan { share: 0.8, line: 0.0 };
     held.display.primaries[0].waveform = Waveform::Scanned { pixel: Box::new(Waveform::Steady), scan };
-    let white = draw(&Pattern::Uniform { rgb: [1.0; 3] }, &held.display, &held.gaze);
+    let white = draw(&Pattern::Uniform { rgb: [1.0; 3] }, &ScreenView::frontal(&held.display, &held.gaze));
     let black = Picture { rgb: vec![0.0; white.rgb.len()], ..white.clone() };
     assert_eq!(exposure(&held).history(), 1);
     let budget = exposure(&held).frame_after(1, Some(&white), &[&black]).unwrap().budget;

@@ -4,6 +4,7 @@
 
 mod counts;
 mod gaze;
+mod geometry;
 mod luminance;
 #[path = "../e2e/support.rs"]
 #[allow(dead_code, reason = "shared with the end-to-end tests")]

@@ -9,6 +9,7 @@ mod scan;
 mod transfer;
 mod waveform;
 
+use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 pub use emitter::{Emitter, PhotonSample, emitters, photon_shares, pupil_share, pupil_share_at};
@@ -29,8 +30,12 @@ pub struct Display {
     pub height_px: u32,
     /// Distance between pixel centres, cm.
     pub pixel_pitch_cm: f64,
-    /// Distance of the screen from the corneal apex along the line of sight, cm.
+    /// Distance of the screen from the corneal apex when the eye looks straight ahead, or with
+    /// [`Placement::Frontal`] along the line of sight, cm.
     pub distance_cm: f64,
+    /// How the screen stands before the head.
+    #[serde(default)]
+    pub placement: Placement,
     /// How bright full white is.
     pub white: White,
     /// Frames per second.
@@ -46,6 +51,30 @@ pub struct Display {
     /// The colours.
     pub primaries: Vec<Primary>,
 }
+
+/// How the screen stands before the head.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Placement {
+    /// Flat, across the line of sight, whatever point is fixated.
+    #[default]
+    Frontal,
+    /// In one place; the eye turns to look at another point.
+    Fixed {
+        /// The point straight ahead of the eye, pixels from the left and from the top.
+        eye_at_px: [f64; 2],
+        /// How far the top leans away from the viewer, degrees.
+        tilt_deg: f64,
+        /// How far the right edge is turned away from the viewer, degrees.
+        turn_deg: f64,
+        /// Radius of a screen that is curved about the viewer, cm; `None` is flat.
+        curvature_radius_cm: Option<f64>,
+    },
+}
+
+/// Largest tilt and turn, degrees.
+const MOST_TURNED_DEG: f64 = 75.0;
+/// Largest angle of a curved screen's arc on either side of the point straight ahead, degrees.
+const MOST_ARC_DEG: f64 = 85.0;
 
 /// Brightness of full white.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -121,6 +150,7 @@ impl Display {
         check_range("display.height_px", f64::from(self.height_px), 1.0, 4096.0)?;
         check_range("display.pixel_pitch_cm", self.pixel_pitch_cm, 1e-6, 1e4)?;
         check_range("display.distance_cm", self.distance_cm, 10.0, 1e5)?;
+        self.validate_placement()?;
         match self.white {
             White::LuminanceCdM2(value) => check_range("display.white_luminance_cd_m2", value, 0.0, 1e7)?,
             White::Lumens(value) => check_range("display.lumens", value, 0.0, 1e9)?,
@@ -137,6 +167,28 @@ impl Display {
         }
         self.panel.validate()?;
         self.validate_time()
+    }
+
+    fn validate_placement(&self) -> Result<(), RangeError> {
+        let Placement::Fixed { eye_at_px: [x, y], tilt_deg, turn_deg, curvature_radius_cm } = self.placement
+        else {
+            return Ok(());
+        };
+        check_range("display.eye_at_px[0]", x, -1e6, 1e6)?;
+        check_range("display.eye_at_px[1]", y, -1e6, 1e6)?;
+        check_range("display.tilt_deg", tilt_deg, -MOST_TURNED_DEG, MOST_TURNED_DEG)?;
+        check_range("display.turn_deg", turn_deg, -MOST_TURNED_DEG, MOST_TURNED_DEG)?;
+        let Some(radius_cm) = curvature_radius_cm else { return Ok(()) };
+        let farther_px = x.abs().max((f64::from(self.width_px) - x).abs());
+        let least_cm = farther_px * self.pixel_pitch_cm / MOST_ARC_DEG.to_radians();
+        check_range("display.curvature_radius_cm", radius_cm, least_cm.max(1.0), 1e6)
+    }
+
+    /// A point of the display (pixels) from the point straight ahead, to the right and up on the screen, mm.
+    pub fn offset_mm(&self, at_px: [f64; 2]) -> DVec2 {
+        let Placement::Fixed { eye_at_px, .. } = self.placement else { return DVec2::ZERO };
+        let [x, y] = [at_px[0] - eye_at_px[0], eye_at_px[1] - at_px[1]];
+        10.0 * self.pixel_pitch_cm * DVec2::new(x, y)
     }
 
     /// Combinations of panel and waveforms that have no meaning, and memories that are too long.
@@ -179,6 +231,7 @@ impl Display {
             height_px: 5,
             pixel_pitch_cm: 0.03,
             distance_cm: 100.0,
+            placement: Placement::Frontal,
             white: White::LuminanceCdM2(100.0),
             frame_rate_hz: 60.0,
             transfer: Transfer::Srgb,

@@ -96,7 +96,7 @@ impl Ledger {
                     DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5) - DVec2::from_array(centre_px);
                 let tangent = DVec2::new(from_centre.x, -from_centre.y) * per_px;
                 let slant = entering(display.emission_law, beams, tangent);
-                pixels.push((slant, tangent.length().atan().to_degrees()));
+                pixels.push((slant, inputs.projection.screen().eccentricity_deg(tangent)));
             }
         }
         let of_primary = |shares: &Shares| {

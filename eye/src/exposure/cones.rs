@@ -7,7 +7,7 @@ use super::bounds;
 use super::inputs::Inputs;
 use crate::display::EmissionLaw;
 use crate::experiment::Experiment;
-use crate::optics::{BeamField, projection::visual_deg_from_tangent};
+use crate::optics::{BeamField, Screen};
 use crate::plan::setup::setup;
 use crate::retina::{ConeType, Retina};
 
@@ -75,7 +75,7 @@ pub fn cone_columns(experiment: &Experiment, retina: &Retina) -> Result<ConeColu
     let fit = projection.fit(min - 1.0, max + 1.0).map_err(|e| e.to_string())?;
     for i in 0..retina.len() {
         let at = retina.center(i);
-        let visual = visual_deg_from_tangent(fit.screen_tangent(at));
+        let visual = projection.screen().visual_deg(fit.screen_tangent(at));
         columns.x_deg.push(visual.x);
         columns.y_deg.push(visual.y);
         columns.ecc_deg.push(visual.length());
@@ -95,19 +95,21 @@ pub struct ConeTable {
     pub cones: Vec<MappedCone>,
 }
 
-/// Irradiance at the corneal apex, across the light, from a point of a flat screen over that from the gaze centre: the screen's
-/// emission law and the squared distance.
-pub fn emission(law: EmissionLaw, tangent: DVec2) -> f64 {
-    let cos2 = 1.0 / (1.0 + tangent.length_squared());
+/// Irradiance at the corneal apex, across the light, from a point of a screen over that from a point at the
+/// nominal distance that faces the eye: the screen's emission law and the squared distance.
+pub fn emission(law: EmissionLaw, screen: &Screen, tangent: DVec2) -> f64 {
     match law {
-        EmissionLaw::Lambertian => cos2 * cos2.sqrt(),
-        EmissionLaw::Uniform => cos2,
+        EmissionLaw::Lambertian => screen.nearness(tangent) * screen.emission_cosine(tangent),
+        // The half space before the screen is all that it lights.
+        EmissionLaw::Uniform if screen.emission_cosine(tangent) <= 0.0 => 0.0,
+        EmissionLaw::Uniform => screen.nearness(tangent),
     }
 }
 
-/// Light that enters the pupil from a point of a flat screen, over that which a pupil of nominal area gets from the gaze centre.
+/// Light that enters the pupil from a point of a screen, over that which a pupil of nominal area gets from a point
+/// at the nominal distance that faces the eye.
 pub fn entering(law: EmissionLaw, beams: &BeamField, tangent: DVec2) -> f64 {
-    emission(law, tangent) * beams.relative(tangent)
+    emission(law, beams.screen(), tangent) * beams.relative(tangent)
 }
 
 impl ConeTable {
@@ -132,7 +134,7 @@ impl ConeTable {
                 let (source, slope) = primaries.kernels.source_um(um);
                 let (tangent, jacobian) = fit.linear(source);
                 let jacobian = jacobian * slope;
-                let ecc_deg = fit.linear(um).0.length().atan().to_degrees();
+                let ecc_deg = projection.screen().eccentricity_deg(fit.linear(um).0);
                 let [px, py] = retina.pointing[i];
                 MappedCone {
                     polygon_px: retina

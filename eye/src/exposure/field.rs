@@ -41,11 +41,15 @@ impl<'a> Field<'a> {
 /// the field is too large.
 pub fn table_for(kernels: &[&KernelSpec], projection: &Projection, reach_deg: f64) -> Option<FieldTableSpec> {
     let first = kernels.first()?;
+    // The table is of a flat screen across the line of sight.
+    if !first.screen.is_frontal() {
+        return None;
+    }
     let (half_deg, nodes) = FieldTableSpec::field(reach_deg, first.state.pupil_mm)?;
     let spec = FieldTableSpec {
         prescription: first.prescription.clone(),
         state: first.state,
-        distance_mm: first.distance_mm,
+        distance_mm: first.screen.nominal_mm(),
         half_deg,
         nodes,
         stiles_crawford_rho10_per_mm2: first.stiles_crawford_rho10_per_mm2,

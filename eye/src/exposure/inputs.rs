@@ -59,7 +59,8 @@ impl Inputs {
         let number = setup.tiles.iter().position(|one| *one == tile).unwrap_or(0);
         let (first_tile, tiles) = (setup.tiles.first() == Some(&tile), [number, setup.tiles.len()]);
         let pointing = pointing_of(experiment, &setup).map_err(|e| model(e.to_string()))?;
-        let Setup { projection, gaze, .. } = setup;
+        let gaze = setup.gaze_of(&tile).map_err(|e| model(e.to_string()))?;
+        let Setup { projection, .. } = setup;
         let eye = &experiment.eye;
         let beams = BeamField::new(&projection).map_err(|e| model(e.to_string()))?;
         let pointing = (!small_pointing(experiment, &pointing)).then_some(pointing);

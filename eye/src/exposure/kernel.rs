@@ -24,7 +24,7 @@ use super::spectral::{ARRIVING, Absorbers, KINDS, Paths, Share, paths_at};
 use crate::cone::pigment::{DENSITY_EDGES_DEG, Pigments};
 use crate::display::{EmissionLaw, photon_shares};
 use crate::media::{MACULA_EDGE_DEG, Media};
-use crate::optics::{EyeState, Prescription, Projection, SchematicEye};
+use crate::optics::{EyeState, Prescription, Projection, SchematicEye, Screen};
 use crate::psf::FieldTableSpec;
 use crate::spectrum::Spectrum;
 
@@ -52,8 +52,8 @@ pub struct KernelSpec {
     pub prescription: Prescription,
     /// Its pupil, focus and dispersion.
     pub state: EyeState,
-    /// Distance of the screen from the corneal apex, mm.
-    pub distance_mm: f64,
+    /// The screen before the eye.
+    pub screen: Screen,
     /// How the screen's light falls with the angle.
     pub emission_law: EmissionLaw,
     /// Rectangle of the retina, µm: minimum and maximum.
@@ -165,7 +165,7 @@ impl KernelSpec {
     /// When the eye is refused.
     pub fn projection(&self) -> Result<Projection, String> {
         let eye = SchematicEye::new(&self.prescription, &self.state).map_err(|e| e.to_string())?;
-        Projection::new(&eye, self.distance_mm).map_err(|e| e.to_string())
+        Projection::of(&eye, self.screen).map_err(|e| e.to_string())
     }
 
     /// The eccentricities at which kernels are known: pigments change their law at some.

@@ -100,7 +100,7 @@ impl KernelSpec {
         // Light that enters the pupil from each point at each wavelength, over that of the nominal pupil on the line of sight.
         let nominal = nominal_mm2(self.state.pupil_mm);
         let entering = |(p, w): &(&FieldPoint, &Wavefront)| {
-            emission(self.emission_law, p.tangent) * w.pupil_area_mm2 / nominal
+            emission(self.emission_law, &self.screen, p.tangent) * w.pupil_area_mm2 / nominal
         };
         let factors: Vec<f64> = jobs.iter().map(entering).collect();
         let media = self.absorbers()?.media;

@@ -56,7 +56,7 @@ use crate::display::Emitter;
 use crate::experiment::{Engine, Experiment, Video};
 use crate::plan::Rule;
 use crate::report::PhotonBudget;
-use crate::video::{Picture, draw};
+use crate::video::{Picture, ScreenView, draw};
 use cones::ConeTable;
 use inputs::Inputs;
 use light::{Shown, history};
@@ -139,9 +139,12 @@ impl Exposure {
     pub fn new(experiment: &Experiment, artifacts: &[impl AsRef<[u8]>]) -> Result<Self, ExposureError> {
         let inputs = Inputs::read(experiment, artifacts)?;
         let cones = ConeTable::new(&inputs).map_err(ExposureError::Model)?;
-        let Projector { display, emitters, .. } = &inputs.primaries.projector;
+        let Projector { emitters, .. } = &inputs.primaries.projector;
         let pattern = match &experiment.video {
-            Video::Pattern(pattern) => Some(draw(pattern, display, &experiment.gaze)),
+            Video::Pattern(pattern) => {
+                let view = ScreenView::of(experiment).map_err(|e| ExposureError::Model(e.to_string()))?;
+                Some(draw(pattern, &view))
+            }
             Video::Clip(_) => None,
         };
         let joins = joins(experiment, emitters);

@@ -1,10 +1,10 @@
 //! Eye movement during viewing (§11): where the line of sight meets the screen at a time.
 //!
 //! The line of sight starts on the fixated point; a movement is a path (x, y) of visual angle from there: drift, random walk or a
-//! recording, with tremor and microsaccades on top. The eye turns by the path's length about an axis that lies in Listing's plane,
-//! so there is no torsion. Orientations are quaternions; the line of sight turns about the rotation centre, 13.5 mm behind the
-//! corneal apex. [`Gaze::path`] gives a stretch of time as straight lines on the screen, to 1e-6 rad (0.003 arcmin); the default drift is one
-//! line a frame.
+//! recording, with tremor and microsaccades on top. The eye turns about its rotation centre, from straight ahead always about an
+//! axis in Listing's plane. The screen stays where it is: [`Gaze::screen_tangent`] is how far the place moves over it that one
+//! place of the retina sees, the fovea or another ([`Gaze::seen_along`]). [`Gaze::path`] gives a stretch of time as straight lines on
+//! the screen, to 1e-6 rad (0.003 arcmin); the default drift is one line a frame.
 //!
 //! # Stability
 //! The usual slerp through acos is NaN or 0/0 below 1e-8 rad; here the angle is known, so no arc cosine is taken.
@@ -13,14 +13,16 @@ mod fixation;
 mod validate;
 mod walk;
 
+use std::sync::Arc;
+
 use glam::{DQuat, DVec2, DVec3};
 
 use crate::experiment::{self, Movement, RangeError};
+use crate::optics::Fixation;
+use crate::optics::fixation::listing;
 use fixation::{Saccade, Tremor};
 use walk::Walk;
 
-/// Rotation centre behind the corneal apex, cm.
-const ROTATION_CENTRE_CM: f64 = 1.35;
 /// Largest turn that is served, degrees.
 const MAX_TURN_DEG: f64 = 45.0;
 /// How far a straight line may be from the path, unit tangents.
@@ -38,12 +40,23 @@ pub(crate) fn radians(arcmin: f64) -> f64 {
 /// Movement in front of a screen.
 #[derive(Clone, Debug)]
 pub struct Gaze {
-    base: Base,
+    base: Arc<Base>,
     tremor: Option<Tremor>,
-    saccades: Vec<Saccade>,
-    /// Distance of the screen from the rotation centre over its distance from the apex.
-    lever: f64,
+    saccades: Arc<[Saccade]>,
+    /// Eye and screen at rest.
+    fixation: Fixation,
+    /// A point of the screen and the direction from the eye in which it is seen at rest, over the screen's nominal
+    /// distance, in the view frame; where the line meets the screen.
+    line: [DVec3; 2],
+    rest: DVec2,
+    /// Rectangle of the turns over all frames, radians.
+    turns: [DVec2; 2],
 }
+
+/// Parts of each side of the rectangle of turns at which the place on the screen is looked at.
+const BOUNDS: u32 = 8;
+/// Where a line of sight is that misses the screen, unit tangents: no scene is that large.
+const MISSED: DVec2 = DVec2::splat(1e3);
 
 /// The path without tremor and microsaccades.
 #[derive(Clone, Debug)]
@@ -100,13 +113,13 @@ impl Base {
 }
 
 impl Gaze {
-    /// A movement in front of a screen at a distance (cm) over frames of a length (s).
+    /// The movement of an eye that fixates a point of a screen at rest, over frames of a length (s); as its fovea sees it.
     ///
     /// # Errors
     /// When the eye would turn by more than 45°, or a frame would hold more movement than is served.
     pub fn new(
         gaze: &experiment::Gaze,
-        distance_cm: f64,
+        fixation: &Fixation,
         frames: u32,
         frame_s: f64,
     ) -> Result<Self, RangeError> {
@@ -117,10 +130,43 @@ impl Gaze {
         let saccades = gaze.microsaccades.map_or_else(Vec::new, |spec| {
             fixation::saccades(&spec, gaze.seed, duration_s, |t_s| base.at(t_s))
         });
-        let lever = 1.0 + ROTATION_CENTRE_CM / distance_cm;
-        let made = Self { base, tremor, saccades, lever };
+        let fovea = [fixation.screen.way(DVec2::ZERO), DVec3::NEG_Z];
+        let (rest, turns) = (DVec2::ZERO, [DVec2::ZERO; 2]);
+        let (base, saccades) = (Arc::new(base), saccades.into());
+        let mut made = Self { base, tremor, saccades, fixation: *fixation, line: fovea, rest, turns };
         made.check_turn(gaze, duration_s)?;
+        let turned = made.turns_between(0.0, duration_s);
+        made.turns = turned.into_iter().fold(turns, |[min, max], turn| [min.min(turn), max.max(turn)]);
         Ok(made)
+    }
+
+    /// The same as a place of the retina sees it to which a line of object space leads, see
+    /// [`crate::optics::Projection::line_to`].
+    #[must_use]
+    pub fn seen_along(&self, line: [DVec3; 2]) -> Self {
+        let rest = self.fixation.screen.met_by(line[0] - line[1], line[1]).unwrap_or(MISSED);
+        Self { line, rest, ..self.clone() }
+    }
+
+    /// The turns at all bends of the path between two times.
+    fn turns_between(&self, from_s: f64, to_s: f64) -> Vec<DVec2> {
+        let mut times = vec![from_s];
+        times.extend(self.bends(from_s, to_s));
+        times.into_iter().map(|t_s| self.turn(t_s)).collect()
+    }
+
+    /// Times after one time, up to another, at which the path bends.
+    fn bends(&self, from_s: f64, to_s: f64) -> Vec<f64> {
+        let mut times = self.base.bends(from_s, to_s);
+        let jumps = self.saccades.iter().flat_map(|s| [s.start_s, s.end_s]);
+        times.extend(jumps.filter(|t| *t > from_s && *t < to_s));
+        if let Some(tremor) = &self.tremor {
+            times.extend(tremor.bends(from_s, to_s));
+        }
+        times.push(to_s);
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        times
     }
 
     fn check_turn(&self, gaze: &experiment::Gaze, duration_s: f64) -> Result<(), RangeError> {
@@ -155,37 +201,43 @@ impl Gaze {
 
     /// Orientation of the eye relative to rest at time `t_s`; axes x right, y up, z towards the viewer.
     pub fn orientation(&self, t_s: f64) -> DQuat {
-        // The eye looks along -z; a turn about (y, -x) carries -z towards (x, y).
-        let (direction, angle) = match &self.base {
-            Base::Drift { radians_per_s, direction } if self.tremor.is_none() && self.saccades.is_empty() => {
-                (*direction, radians_per_s * t_s)
-            }
-            _ => {
-                let turn = self.turn(t_s);
-                (turn.normalize_or(DVec2::X), turn.length())
-            }
-        };
-        DQuat::from_axis_angle(DVec3::new(direction.y, -direction.x, 0.0), angle)
+        self.orientation_at(self.turn(t_s))
     }
 
-    /// Where the line of sight meets the screen: (X, Y)/distance from the fixated point, X right, Y up.
+    /// The same for a turn of the line of sight, radians.
+    fn orientation_at(&self, turn: DVec2) -> DQuat {
+        // The eye looks along -z; a turn about (y, -x) carries -z towards (x, y).
+        let direction = turn.normalize_or(DVec2::X);
+        let turned = DQuat::from_axis_angle(DVec3::new(direction.y, -direction.x, 0.0), turn.length());
+        let head = self.fixation.turn;
+        if head == DQuat::IDENTITY {
+            return turned;
+        }
+        // Listing's law holds for the turn from straight ahead.
+        head.inverse() * listing(head * (turned * DVec3::NEG_Z))
+    }
+
+    /// How far the place on the screen has moved that is seen, in units of the screen, x right, y up.
     pub fn screen_tangent(&self, t_s: f64) -> DVec2 {
-        let sight = self.orientation(t_s) * DVec3::NEG_Z;
-        DVec2::new(sight.x, sight.y) / -sight.z * self.lever
+        self.moved_by(self.turn(t_s))
+    }
+
+    /// The same for a turn of the line of sight, radians.
+    fn moved_by(&self, turn: DVec2) -> DVec2 {
+        if turn == DVec2::ZERO {
+            return DVec2::ZERO;
+        }
+        // The line turns with the eye about the rotation centre; the screen stays.
+        let Fixation { screen, rotation_centre_mm, .. } = &self.fixation;
+        let (centre, turned) = (*rotation_centre_mm / screen.nominal_mm(), self.orientation_at(turn));
+        let [point, along] = self.line;
+        let from = centre + turned * (point - along - centre);
+        screen.met_by(from, turned * along).map_or(MISSED, |place| place - self.rest)
     }
 
     /// The line of sight on the screen from one time to another as straight lines: times (s) and places (unit tangents).
     pub fn path(&self, from_s: f64, to_s: f64) -> Vec<(f64, DVec2)> {
-        let mut times = self.base.bends(from_s, to_s);
-        times.extend(
-            self.saccades.iter().flat_map(|s| [s.start_s, s.end_s]).filter(|t| *t > from_s && *t < to_s),
-        );
-        if let Some(tremor) = &self.tremor {
-            times.extend(tremor.bends(from_s, to_s));
-        }
-        times.push(to_s);
-        times.sort_by(f64::total_cmp);
-        times.dedup();
+        let times = self.bends(from_s, to_s);
         let mut path = vec![(from_s, self.screen_tangent(from_s))];
         for t_s in times {
             self.straighten((t_s, self.screen_tangent(t_s)), MAX_HALVINGS, &mut path);
@@ -209,22 +261,30 @@ impl Gaze {
         path.push(to);
     }
 
-    /// The rectangle of the line of sight's places on the screen from time 0 on, unit tangents.
-    pub fn bounds(&self, duration_s: f64) -> [DVec2; 2] {
-        let straight =
-            matches!(self.base, Base::Drift { .. }) && self.tremor.is_none() && self.saccades.is_empty();
-        let points = if straight {
-            // A drift goes along a straight line on the screen.
-            vec![DVec2::ZERO, self.screen_tangent(duration_s)]
-        } else {
-            self.path(0.0, duration_s).into_iter().map(|p| p.1).collect()
-        };
-        points.into_iter().fold([DVec2::ZERO; 2], |[min, max], p| [min.min(p), max.max(p)])
+    /// The rectangle of the movement on the screen over all frames, in units of the screen.
+    pub fn bounds(&self) -> [DVec2; 2] {
+        self.rectangle().into_iter().fold([DVec2::ZERO; 2], |[min, max], turn| {
+            let moved = self.moved_by(turn);
+            [min.min(moved), max.max(moved)]
+        })
+    }
+
+    /// Turns over the rectangle of all turns.
+    fn rectangle(&self) -> Vec<DVec2> {
+        let ([min, max], part) = (self.turns, |i: u32| f64::from(i) / f64::from(BOUNDS));
+        let places = (0..=BOUNDS).flat_map(|i| (0..=BOUNDS).map(move |j| DVec2::new(part(i), part(j))));
+        places.map(|place| min + place * (max - min)).collect()
+    }
+
+    /// Largest difference of two movements on the screen over all turns, in units of the screen.
+    pub fn largest_difference(&self, other: &Self) -> f64 {
+        let difference = |turn: DVec2| (self.moved_by(turn) - other.moved_by(turn)).length();
+        self.rectangle().into_iter().map(difference).fold(0.0, f64::max)
     }
 
     /// Whether the eye rests.
     pub fn is_still(&self) -> bool {
-        let still = match &self.base {
+        let still = match &*self.base {
             Base::Drift { radians_per_s, .. } => *radians_per_s <= 0.0,
             _ => false,
         };
@@ -258,6 +318,32 @@ fn check_pieces(gaze: &experiment::Gaze, frame_s: f64, duration_s: f64) -> Resul
 mod tests {
     use super::*;
     use crate::experiment::{Microsaccades, Tremor as TremorSpec};
+    use crate::optics::{Dispersion, EyeState, Prescription, SchematicEye, Side};
+
+    /// Before a screen at a distance, cm.
+    fn moving(
+        gaze: &experiment::Gaze,
+        distance_cm: f64,
+        frames: u32,
+        frame_s: f64,
+    ) -> Result<Gaze, RangeError> {
+        Gaze::new(gaze, &fixation(distance_cm), frames, frame_s)
+    }
+
+    fn fixation(distance_cm: f64) -> Fixation {
+        Fixation::frontal(&eye(), 10.0 * distance_cm)
+    }
+
+    fn eye() -> SchematicEye {
+        let state = EyeState {
+            pupil_mm: 3.0,
+            decentre_mm: 0.0,
+            accommodation_a: 0.0,
+            dispersion: Dispersion::Herzberger,
+            side: Side::Right,
+        };
+        SchematicEye::new(&Prescription::preset("escudero-sanz-navarro").unwrap(), &state).unwrap()
+    }
 
     fn gaze_of(movement: Movement) -> experiment::Gaze {
         experiment::Gaze { movement, ..experiment::Gaze::still([0.0; 2]) }
@@ -269,7 +355,7 @@ mod tests {
 
     #[test]
     fn the_default_drift_goes_right_and_up() {
-        let gaze = Gaze::new(&drift(6.0, 30.0), 1e12, 1, 1.0).unwrap();
+        let gaze = moving(&drift(6.0, 30.0), 1e12, 1, 1.0).unwrap();
         let shift = gaze.screen_tangent(1.0);
         let angle = (0.1_f64).to_radians();
         assert!((shift - angle.tan() * DVec2::new(3_f64.sqrt() / 2.0, 0.5)).length() < 1e-12);
@@ -282,7 +368,7 @@ mod tests {
     /// Listing's law: the axis of every turn lies in the plane across the line of sight at rest, so torsion is none.
     #[test]
     fn turns_have_no_torsion() {
-        let gaze = Gaze::new(&drift(1200.0, 40.0), 100.0, 60, 1.0 / 60.0).unwrap();
+        let gaze = moving(&drift(1200.0, 40.0), 100.0, 60, 1.0 / 60.0).unwrap();
         for t_s in [1e-9, 0.1, 1.0] {
             assert!(gaze.orientation(t_s).z.abs() < 1e-15);
         }
@@ -290,21 +376,26 @@ mod tests {
 
     #[test]
     fn still_is_still_and_too_far_is_refused() {
-        let still = Gaze::new(&gaze_of(Movement::Still), 100.0, 100_000, 1.0).unwrap();
+        let still = moving(&gaze_of(Movement::Still), 100.0, 100_000, 1.0).unwrap();
         assert_eq!(still.screen_tangent(77.0), DVec2::ZERO);
         assert!(still.is_still());
-        assert!(Gaze::new(&drift(60000.0, 0.0), 100.0, 1, 1.0).is_err());
-        let fast = Gaze::new(&drift(60000.0, 0.0), 100.0, 1, 0.04).unwrap();
+        assert!(moving(&drift(60000.0, 0.0), 100.0, 1, 1.0).is_err());
+        let fast = moving(&drift(60000.0, 0.0), 100.0, 1, 0.04).unwrap();
         let path = fast.path(0.0, 0.04);
         assert!(path.len() > 10, "40° are not straight in time on a flat screen");
+        // Rotation centre 13.5 mm behind the apex along the optical axis and 0.5 mm nasal; the line of sight is 5° from the axis.
+        let (sin, cos) = 5_f64.to_radians().sin_cos();
+        let (behind, temporal) = (13.5 * cos - 0.5 * sin, -(0.5 * cos + 13.5 * sin));
+        let (far, turn) = (1000.0 + behind, 40_f64.to_radians());
+        let right = far * turn.tan() + temporal * (1.0 - 1.0 / turn.cos());
         let last = path[path.len() - 1].1;
-        assert!((last.x / fast.lever - 40_f64.to_radians().tan()).abs() < 1e-12);
+        assert!((1000.0 * last.x - right).abs() < 1e-9, "{} {right}", 1000.0 * last.x);
     }
 
     #[test]
     fn a_recorded_path_is_followed_and_its_end_stays() {
         let samples = vec![[0.1, 0.0, 0.0], [0.2, 30.0, -60.0], [0.4, 30.0, 0.0]];
-        let gaze = Gaze::new(&gaze_of(Movement::Recorded(samples)), 1e9, 1, 1.0).unwrap();
+        let gaze = moving(&gaze_of(Movement::Recorded(samples)), 1e9, 1, 1.0).unwrap();
         let at = |t_s| gaze.screen_tangent(t_s) / radians(1.0);
         assert!(at(0.05).length() < 1e-9 && (at(9.0) - DVec2::new(30.0, 0.0)).length() < 1e-2);
         assert!((at(0.15) - DVec2::new(15.0, -30.0)).length() < 1e-2);
@@ -319,7 +410,7 @@ mod tests {
         let mut gaze = gaze_of(Movement::Walk { unit_arcmin: 0.5 });
         gaze.tremor = Some(TremorSpec { rms_arcmin: 0.3, from_hz: 30.0, to_hz: 100.0 });
         gaze.microsaccades = Some(Microsaccades { rate_hz: 20.0, ..Microsaccades::default() });
-        let gaze = Gaze::new(&gaze, 60.0, 60, 1.0 / 60.0).unwrap();
+        let gaze = moving(&gaze, 60.0, 60, 1.0 / 60.0).unwrap();
         let path = gaze.path(0.0, 0.5);
         for pair in path.windows(2) {
             for part in [0.2, 0.5, 0.9] {
@@ -328,7 +419,7 @@ mod tests {
                 assert!((gaze.screen_tangent(t_s) - line).length() < 2.0 * STRAIGHT, "{t_s}");
             }
         }
-        let [min, max] = gaze.bounds(1.0);
+        let [min, max] = gaze.bounds();
         assert!(path.iter().all(|p| p.1.cmpge(min).all() && p.1.cmple(max).all()));
     }
 }

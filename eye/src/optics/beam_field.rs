@@ -13,6 +13,7 @@
 
 use super::error::OpticsError;
 use super::projection::Projection;
+use super::screen::Screen;
 use super::{Object, beam};
 use crate::math;
 use glam::{DVec2, DVec3};
@@ -22,6 +23,8 @@ use std::f64::consts::{PI, TAU};
 /// Angles from the optical axis up to which beams are traced, degrees: the first at which the whole stop is
 /// seen.
 const MOST_DEG: [f64; 6] = [80.0, 70.0, 65.0, 60.0, 55.0, 50.0];
+/// Least distance of a point of the screen that is taken, mm.
+const NEAREST_MM: f64 = 50.0;
 /// Nodes of the angle and of the azimuth.
 const ANGLES: usize = 14;
 const AZIMUTHS: usize = 8;
@@ -29,6 +32,7 @@ const AZIMUTHS: usize = 8;
 /// Beam over nominal area by the place on the screen.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BeamField {
+    screen: Screen,
     axes: [DVec3; 3],
     /// Largest angle of the table, radians.
     most: f64,
@@ -68,8 +72,7 @@ impl BeamField {
             let (sin, cos) = math::sin_cos(angle_at(node, most));
             let across = math::unit(TAU * azimuth as f64 / AZIMUTHS as f64);
             let direction = DVec3::new(sin * across.x, sin * across.y, cos);
-            // A flat screen is farther off by 1/cos of the angle to the line of sight.
-            let vergence = direction.dot(axes[2]).max(0.0) / projection.distance_mm();
+            let vergence = vergence(projection.screen(), direction, &axes);
             Ok(eye.beam_mm2(Object::with_vergence(direction, vergence)?, nm)? / nominal)
         };
         let of_node = |node: usize| -> Result<[f64; AZIMUTHS - 1], OpticsError> {
@@ -78,14 +81,21 @@ impl BeamField {
         };
         let harmonics = (0..ANGLES).into_par_iter().map(of_node).collect::<Result<_, _>>()?;
         let angles = (0..ANGLES).map(|node| angle_at(node, most)).collect();
-        Ok(Self { axes, most, angles, harmonics })
+        Ok(Self { screen: *projection.screen(), axes, most, angles, harmonics })
     }
 
-    /// The beam from tangent coordinates `t` of the screen over the nominal area of the entrance pupil.
+    /// The screen.
+    pub fn screen(&self) -> &Screen {
+        &self.screen
+    }
+
+    /// The beam from the point `t` of the screen over the nominal area of the entrance pupil.
     pub fn relative(&self, t: DVec2) -> f64 {
         // Direction of the light, its angle to the optical axis and its azimuth.
         let [right, up, forward] = self.axes;
-        let direction = (forward - t.x * right - t.y * up) / 1.0_f64.hypot(t.length());
+        let way = self.screen.way(t);
+        let length = if self.screen.is_frontal() { 1.0_f64.hypot(t.length()) } else { way.length() };
+        let direction = (-way.z * forward - way.x * right - way.y * up) / length;
         let across = direction.truncate();
         let angle = across.length().atan2(direction.z);
         let most = self.most;
@@ -110,6 +120,16 @@ impl BeamField {
         }
         beyond * value / below
     }
+}
+
+/// 1/distance of the point of a screen whose light travels along `direction` (eye frame), 1/mm; 0 where there is none.
+fn vergence(screen: &Screen, direction: DVec3, [right, up, forward]: &[DVec3; 3]) -> f64 {
+    if screen.is_frontal() {
+        // A flat screen is farther off by 1/cos of the angle to the line of sight.
+        return direction.dot(*forward).max(0.0) / screen.nominal_mm();
+    }
+    let along = -DVec3::new(direction.dot(*right), direction.dot(*up), direction.dot(*forward));
+    screen.met_by(DVec3::ZERO, along).map_or(0.0, |t| 1.0 / screen.distance_mm(t).max(NEAREST_MM))
 }
 
 /// Mean, and cosine and sine of each harmonic below the highest, of values at even steps of the azimuth.

@@ -1,20 +1,20 @@
-//! Between a flat screen and the retina, by exact chief rays at the reference wavelength (543 nm).
+//! Between a screen and the retina, by exact chief rays at the reference wavelength (543 nm).
 //!
-//! A point of the screen is named by tangent coordinates t = (X/D, Y/D): X to the viewer's right, Y up, D the distance
-//! of the fixated point from the corneal apex along the line of sight; the screen is perpendicular to that line. At
-//! infinity t is the tangent of the direction. t = 0 lands on the foveal centre by definition.
+//! A point of the screen is named by coordinates t, see [`super::screen`]: of a flat screen across the line of sight
+//! tangents of its direction. t = 0 is fixated and lands on the foveal centre by definition.
 
 use super::error::{OpticsError, in_range};
 use super::object::Object;
 use super::projection_fit::ProjectionFit;
 use super::schematic_eye::SchematicEye;
+use super::screen::Screen;
 use glam::{DMat2, DVec2, DVec3};
 
 /// A screen before an eye.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Projection {
     eye: SchematicEye,
-    distance_mm: f64,
+    screen: Screen,
     axes: [DVec3; 3],
     centre_slope: DMat2,
 }
@@ -23,16 +23,25 @@ pub struct Projection {
 const STEP: f64 = 1e-4;
 
 impl Projection {
-    /// The projection of a screen at `distance_mm` (50 mm to ∞). The foveal centre is taken anew for that distance: use
+    /// The projection of a flat screen across the line of sight at `distance_mm` (50 mm to ∞), as
+    /// [`Projection::of`].
+    ///
+    /// # Errors
+    /// As [`Projection::of`].
+    pub fn new(eye: &SchematicEye, distance_mm: f64) -> Result<Self, OpticsError> {
+        Self::of(eye, Screen::frontal(distance_mm))
+    }
+
+    /// The projection of a screen. The foveal centre is taken anew for the distance of the fixated point: use
     /// [`Projection::eye`] for wavefronts that belong to it.
     ///
     /// # Errors
     /// [`OpticsError::OutOfRange`] for the distance, [`OpticsError::NoRay`] when the fixated point is not seen.
-    pub fn new(eye: &SchematicEye, distance_mm: f64) -> Result<Self, OpticsError> {
-        in_range("screen distance (mm)", distance_mm, 50.0, f64::INFINITY)?;
-        let eye = eye.clone().at_distance(distance_mm)?;
+    pub fn of(eye: &SchematicEye, screen: Screen) -> Result<Self, OpticsError> {
+        in_range("screen distance (mm)", screen.fixated_mm(), 50.0, f64::INFINITY)?;
+        let eye = eye.clone().at_distance(screen.fixated_mm())?;
         let axes = eye.view_axes();
-        let mut projection = Self { eye, distance_mm, axes, centre_slope: DMat2::IDENTITY };
+        let mut projection = Self { eye, screen, axes, centre_slope: DMat2::IDENTITY };
         projection.centre_slope = projection.jacobian_um_per_tangent(DVec2::ZERO)?;
         Ok(projection)
     }
@@ -42,22 +51,29 @@ impl Projection {
         &self.eye
     }
 
-    /// Distance of the fixated point, mm.
-    pub fn distance_mm(&self) -> f64 {
-        self.distance_mm
+    /// The screen.
+    pub fn screen(&self) -> &Screen {
+        &self.screen
     }
 
-    /// The object at tangent coordinates `t` of the screen.
+    /// The object at the point `t` of the screen.
     pub fn object(&self, t: DVec2) -> Object {
         let [right, up, forward] = self.axes;
-        let slant = 1.0_f64.hypot(t.length());
-        Object::from_parts((forward - t.x * right - t.y * up) / slant, 1.0 / (self.distance_mm * slant))
+        let way = self.screen.way(t);
+        let length = if self.screen.is_frontal() { 1.0_f64.hypot(t.length()) } else { way.length() };
+        let direction = (-way.z * forward - way.x * right - way.y * up) / length;
+        Object::from_parts(direction, 1.0 / (self.screen.nominal_mm() * length))
     }
 
-    /// Cosine of the angle between the eye's axis and the way to the point at `t` of the screen.
-    pub fn cos_angle(&self, t: DVec2) -> f64 {
+    /// The ray of object space that goes to the retina where the point `t` is imaged, in the view frame: the point,
+    /// over the nominal distance, and the direction from the entrance pupil's centre to it.
+    pub fn line_to(&self, t: DVec2) -> [DVec3; 2] {
         let [right, up, forward] = self.axes;
-        (forward.z - t.x * right.z - t.y * up.z) / (1.0 + t.length_squared()).sqrt()
+        let pupil = self.eye.entrance_pupil;
+        let pupil =
+            DVec3::new(pupil.dot(right), pupil.dot(up), pupil.dot(forward)) / self.screen.nominal_mm();
+        let way = self.screen.way(t);
+        [way, way - pupil]
     }
 
     /// Where the chief ray from `t` lands: (x_um, y_um).
@@ -98,6 +114,10 @@ impl Projection {
         let linear = self.centre_slope.inverse() * um;
         let angle = linear.length().min(1.4);
         let mut t = if angle > 0.0 { linear.normalize_or_zero() * angle.tan() } else { linear };
+        if !self.screen.is_frontal() {
+            let Some(guess) = self.first_guess(um) else { return Err(outside) };
+            t = guess;
+        }
         let mut miss = match self.retina_um(t, nm) {
             Ok(um_at) => um_at - um,
             Err(_) => return Err(outside),
@@ -133,13 +153,22 @@ impl Projection {
         if miss.length() < 1e-6 { Ok(t) } else { Err(outside) }
     }
 
+    /// A point of a placed screen near the one imaged on (x_um, y_um): that of the foveal magnification taken as an
+    /// angle; `None` when no point of the screen is there.
+    fn first_guess(&self, um: DVec2) -> Option<DVec2> {
+        let degrees = |axis: DVec2| self.screen.visual_deg(STEP * axis) / STEP;
+        let degrees =
+            DMat2::from_cols(degrees(DVec2::X), degrees(DVec2::Y)) * self.centre_slope.inverse() * um;
+        self.screen.at_visual_deg(degrees.clamp_length_max(80.0))
+    }
+
     /// Visual field angles (x_deg right, y_deg up, as the viewer sees the screen) of (x_um, y_um): the angle between its
     /// direction and the line of sight, along the direction on the screen.
     ///
     /// # Errors
     /// As [`Projection::screen_tangent`].
     pub fn visual_deg(&self, um: DVec2) -> Result<DVec2, OpticsError> {
-        Ok(visual_deg_from_tangent(self.screen_tangent(um)?))
+        Ok(self.screen.visual_deg(self.screen_tangent(um)?))
     }
 
     /// Unit vector from (x_um, y_um) towards the exit pupil, that is, back along the chief ray that lands there at the
@@ -167,9 +196,4 @@ impl Projection {
     pub fn fit(&self, min_um: DVec2, max_um: DVec2) -> Result<ProjectionFit, OpticsError> {
         ProjectionFit::new(self, min_um, max_um)
     }
-}
-
-/// Visual field angles, degrees, of tangent coordinates.
-pub fn visual_deg_from_tangent(t: DVec2) -> DVec2 {
-    t.normalize_or_zero() * t.length().atan().to_degrees()
 }

@@ -11,7 +11,7 @@ use std::f64::consts::{FRAC_PI_4, PI};
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::setup::{Setup, UM_PER_TANGENT, cutoff};
+use super::setup::{Setup, UM_PER_TANGENT};
 use super::{Numerics, PlanError, Rule};
 use crate::display::photon_shares;
 use crate::experiment::Experiment;
@@ -112,7 +112,7 @@ fn weights(axis: &[f64], at: f64) -> Vec<f64> {
 
 /// Highest frequency kept for a patch, cycles per unit tangent: the eye's own, or where E(B) is small against the accuracy target.
 pub fn band(experiment: &Experiment, setup: &Setup, region: &RegionUm, seen: &Seen) -> f64 {
-    let most = cutoff(experiment);
+    let most = setup.cutoff(experiment);
     if !Rule::CoarseGrids.applies(experiment) {
         return most;
     }
@@ -152,7 +152,7 @@ fn seen(experiment: &Experiment, setup: &Setup, um: DVec2) -> Result<Seen, Strin
     let point = FieldPoint::new(&setup.projection, um)?;
     let rho = experiment.eye.stiles_crawford_rho10_per_mm2;
     let waves = wavefronts(&setup.projection, &point, &bright_nm(experiment), rho)?;
-    let step = cutoff(experiment) / (POINTS - 1) as f64;
+    let step = setup.cutoff(experiment) / (POINTS - 1) as f64;
     let jobs: Vec<(usize, u32)> =
         (0..waves.len()).flat_map(|wave| (0..DIRECTIONS).map(move |d| (wave, d))).collect();
     let curves: Vec<Vec<f64>> = jobs

@@ -5,7 +5,7 @@
 //!
 //! `events`: `photons · share · seconds an event + tables + pieces of work`; `expected`: the same for any light.
 
-use super::setup::{Setup, UM_PER_TANGENT, cutoff, setup};
+use super::setup::{Setup, UM_PER_TANGENT, setup};
 use super::{Numerics, PlanError, PlannedTile, lit_wavelengths, planned_tiles};
 use crate::experiment::{Engine, Experiment, RangeError};
 use crate::exposure::EVENTS_NODE_UM;
@@ -106,7 +106,7 @@ fn clearly_not_events(experiment: &Experiment, setup: &Setup) -> bool {
     let display = &experiment.display;
     let pixels = f64::from(display.width_px) * f64::from(display.height_px);
     let events = photons_per_pixel(experiment) * pixels * DRAWN_SHARE * SECONDS_PER_EVENT;
-    let density = 2.0 * Numerics::new(experiment).oversampling * cutoff(experiment);
+    let density = 2.0 * Numerics::new(experiment).oversampling * setup.cutoff(experiment);
     let samples: f64 = (setup.tiles.iter())
         .map(|tile| {
             let around = (tile.max - tile.min + 2.0 * setup.guard_um) / UM_PER_TANGENT * density;

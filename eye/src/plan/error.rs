@@ -7,7 +7,7 @@ use std::f64::consts::PI;
 use glam::DVec2;
 
 use super::lit::sparsity;
-use super::setup::{Setup, UM_PER_TANGENT, cutoff};
+use super::setup::{Setup, UM_PER_TANGENT};
 use super::wavelengths::Wavelengths;
 use super::{ErrorPart, Knobs, Numerics, PlanError, PlannedTile};
 use crate::experiment::{Engine, Experiment, Movement, RangeError};
@@ -153,7 +153,7 @@ pub fn estimate(
     if experiment.counts.engine == Engine::Paper {
         return paper(experiment, tiles, wavelengths);
     }
-    let limited = tiles.iter().any(|t| t.scene.band < cutoff(experiment));
+    let limited = tiles.iter().any(|t| t.scene.band < setup.cutoff(experiment));
     let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0);
     // A line needs no steps.
     let steps = if wavelengths.nodes_nm.len() > 1 { (wavelengths.step_nm / 10.0).powi(6) } else { 0.0 };

@@ -44,7 +44,9 @@ pub fn largest_mean(experiment: &Experiment, setup: &Setup) -> Result<f64, PlanE
         let slope = setup.projection.jacobian_um_per_tangent(tangent);
         let per_tangent = slope.map_err(|e| PlanError::Model(e.to_string()))?.determinant().abs();
         let aperture_um2 = 1e6 * law.coverage(um) / law.per_mm2(um).max(1.0);
-        largest = largest.max(aperture_um2 / per_tangent);
+        // Nearer parts of a tilted screen send more than a point at the nominal distance.
+        let nearer = setup.projection.screen().nearness(tangent).max(1.0);
+        largest = largest.max(nearer * aperture_um2 / per_tangent);
     }
     Ok(density * LARGEST_CELL * largest * MOST_CAUGHT
         + experiment.retina.dark_isomerizations_per_s / display.frame_rate_hz)

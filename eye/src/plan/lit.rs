@@ -7,7 +7,7 @@ use crate::experiment::{Experiment, Video};
 use crate::exposure::joins;
 use crate::exposure::primaries::groups;
 use crate::spectrum::Spectrum;
-use crate::video::draw;
+use crate::video::{ScreenView, draw};
 
 /// A larger picture is not looked at: planning takes milliseconds.
 const MOST_PIXELS: u64 = 200_000;
@@ -25,7 +25,8 @@ pub fn primaries(experiment: &Experiment) -> Vec<bool> {
     {
         return all;
     }
-    let picture = draw(pattern, display, &experiment.gaze);
+    let Ok(view) = ScreenView::of(experiment) else { return all };
+    let picture = draw(pattern, &view);
     let place = Place { column: 0, row: 0, frame: 0 };
     // Dither may light a dark value in some frame: only a value of 0 is dark in all.
     let lights = |channel: Channel| {
@@ -59,7 +60,8 @@ pub fn sparsity(experiment: &Experiment) -> f64 {
     if u64::from(display.width_px) * u64::from(display.height_px) > MOST_PIXELS {
         return 1.0;
     }
-    let picture = draw(pattern, display, &experiment.gaze);
+    let Ok(view) = ScreenView::of(experiment) else { return 1.0 };
+    let picture = draw(pattern, &view);
     let light = picture.rgb.iter().map(|v| display.curve().light(f64::from(*v).clamp(0.0, 1.0)));
     let (sum, squares) = light.fold((0.0, 0.0), |(sum, squares), l| (sum + l, squares + l * l));
     if sum > 0.0 { (squares * picture.rgb.len() as f64).sqrt() / sum } else { 1.0 }

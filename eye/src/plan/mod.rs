@@ -356,7 +356,7 @@ fn kernel_spec(
     KernelSpec {
         prescription: setup.prescription.clone(),
         state: setup.state,
-        distance_mm: experiment.display.distance_cm * 10.0,
+        screen: *setup.projection.screen(),
         emission_law: experiment.display.emission_law,
         field_um: [tile.min, tile.max],
         field_nodes: field_nodes(experiment, setup, tile),

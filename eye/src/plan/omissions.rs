@@ -7,7 +7,7 @@
 
 use super::apertures;
 use super::rules::Rule;
-use super::setup::{MARGIN_UM, Setup, UM_PER_TANGENT, cutoff};
+use super::setup::{MARGIN_UM, Setup, UM_PER_TANGENT};
 use super::wavelengths::Wavelengths;
 use super::{Numerics, Omission, PlannedTile, error, lit};
 use crate::cone::directional::DEFAULT_RHO10_PER_MM2;
@@ -123,7 +123,8 @@ fn coarse_grids(look: &Look) -> Option<Omission> {
     let kept = band * std::f64::consts::PI / 180.0;
     let why = format!("frequencies up to {kept:.0} cycles per degree are kept, fewer where cones are wide");
     let what = "spatial frequencies that blur and apertures average away";
-    (band < cutoff(look.experiment)).then(|| omission(what, &why, error::band_bound(look.experiment)))
+    (band < look.setup.cutoff(look.experiment))
+        .then(|| omission(what, &why, error::band_bound(look.experiment)))
 }
 
 fn motion(look: &Look) -> Option<Omission> {

@@ -4,14 +4,15 @@
 
 use std::sync::OnceLock;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 
 use super::band::{Moduli, band};
 use super::{Numerics, PlanError, Rule};
+use crate::display::Placement;
 use crate::experiment::{Engine, Experiment, MAX_REGION_DEG, RangeError};
 use crate::exposure::scene::{MAX_GRID, Scene, SceneNeeds};
 use crate::movement::Gaze;
-use crate::optics::{EyeState, FieldFit, Prescription, Projection, SchematicEye};
+use crate::optics::{EyeState, FieldFit, Fixation, Prescription, Projection, SchematicEye, Stand};
 use crate::retina::{RegionUm, RetinaGeometry, RetinaParams};
 
 /// Retina beyond the picture's edge that is simulated because the picture's blur falls on it, µm.
@@ -36,14 +37,14 @@ pub struct Setup {
     pub state: EyeState,
     /// The screen before the focused eye.
     pub projection: Projection,
-    /// Eye movement.
+    /// Eye movement as the fovea sees it.
     pub gaze: Gaze,
+    /// Largest angle that a unit of the screen subtends in the patch, radians about, and at least 1.
+    widest: f64,
     /// The patch of retina.
     pub region: RegionUm,
     /// The parts of the patch that are computed one by one, row by row: result tiles.
     pub tiles: Vec<RegionUm>,
-    /// Rectangle of the line of sight's positions on the screen over all frames (unit tangents).
-    sight: [DVec2; 2],
     /// The mosaic's parameters.
     pub retina: RetinaParams,
     /// Digest of the table of measured cones, if they take the mosaic's place.
@@ -62,12 +63,11 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
     let (prescription, state) = focused_eye(experiment)?;
     let model = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
     let eye = SchematicEye::new(&prescription, &state).map_err(model)?;
-    let projection = Projection::new(&eye, experiment.display.distance_cm * 10.0).map_err(model)?;
-    let seconds = f64::from(experiment.frames) / experiment.display.frame_rate_hz;
-    let frame_s = 1.0 / experiment.display.frame_rate_hz;
-    let gaze = Gaze::new(&experiment.gaze, experiment.display.distance_cm, experiment.frames, frame_s)?;
-    let sight = gaze.bounds(seconds);
-    let region = region(experiment, &projection, sight)?;
+    let fixation = fixation_of(experiment, &eye)?;
+    let projection = Projection::of(&eye, fixation.screen).map_err(model)?;
+    let gaze = gaze(experiment, &fixation)?;
+    let region = region(experiment, &projection, gaze.bounds())?;
+    let widest = widest(&projection, &region)?;
     let guard_um = Numerics::new(experiment).guard_um;
     let tiles = tiles(&region);
     if tiles.len() > 1 && experiment.counts.engine == Engine::Paper {
@@ -83,14 +83,61 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
         state,
         projection,
         gaze,
+        widest,
         region,
         tiles,
-        sight,
         retina,
         mosaic,
         guard_um,
         moduli: OnceLock::new(),
     })
+}
+
+/// Largest turn of the eye from straight ahead, degrees.
+const MOST_TURNED_DEG: f64 = 45.0;
+
+/// The eye of an experiment as it fixates the gaze centre.
+///
+/// # Errors
+/// When the optics refuse, or the eye cannot look there; the error names the field.
+pub fn fixation(experiment: &Experiment) -> Result<Fixation, PlanError> {
+    let eye = &experiment.eye;
+    let model = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
+    let prescription = eye.prescription().map_err(model)?;
+    fixation_of(experiment, &SchematicEye::new(&prescription, &relaxed(experiment)).map_err(model)?)
+}
+
+fn fixation_of(experiment: &Experiment, eye: &SchematicEye) -> Result<Fixation, PlanError> {
+    let (display, [x, y]) = (&experiment.display, experiment.gaze.center_px);
+    let Placement::Fixed { eye_at_px, tilt_deg, turn_deg, curvature_radius_cm } = display.placement else {
+        return Ok(Fixation::frontal(eye, 10.0 * display.distance_cm));
+    };
+    let curvature_per_mm = curvature_radius_cm.map_or(0.0, |radius_cm| 0.1 / radius_cm);
+    let stand = Stand { distance_mm: 10.0 * display.distance_cm, tilt_deg, turn_deg, curvature_per_mm };
+    let found = Fixation::new(eye, &stand, display.offset_mm([x, y]));
+    let refused = |seen: String| {
+        let allowed = format!(
+            "a point at most {MOST_TURNED_DEG}° from straight ahead, which is [{}, {}] (display.eye_at_px){seen}; display.placement              FRONTAL has the screen face the eye at every gaze",
+            eye_at_px[0], eye_at_px[1]
+        );
+        RangeError::new("gaze.center_px", format!("[{x}, {y}]"), &allowed)
+    };
+    let Some(fixation) = found else {
+        return Err(refused(", and before the screen".into()).into());
+    };
+    if fixation.turned_deg() > MOST_TURNED_DEG {
+        return Err(refused(format!(", here it is {:.1}°", fixation.turned_deg())).into());
+    }
+    Ok(fixation)
+}
+
+/// The movement of an experiment's eye.
+///
+/// # Errors
+/// When the eye turns too far or moves more than is served; the error names the field.
+pub fn gaze(experiment: &Experiment, fixation: &Fixation) -> Result<Gaze, PlanError> {
+    let frame_s = 1.0 / experiment.display.frame_rate_hz;
+    Ok(Gaze::new(&experiment.gaze, fixation, experiment.frames, frame_s)?)
 }
 
 /// Retina beyond a tile that its kernels look at, µm.
@@ -105,6 +152,48 @@ impl Setup {
         Some(min.abs().max(max.abs()).max_element().atan().to_degrees())
     }
 
+    /// The movement as the middle of a tile sees it.
+    ///
+    /// # Errors
+    /// When the middle sees no screen.
+    pub fn gaze_of(&self, tile: &RegionUm) -> Result<Gaze, PlanError> {
+        self.gaze_at(0.5 * (tile.min + tile.max)).map_err(PlanError::Model)
+    }
+
+    /// The movement as a place of the retina sees it (µm).
+    ///
+    /// # Errors
+    /// When the place sees no screen.
+    pub fn gaze_at(&self, um: DVec2) -> Result<Gaze, String> {
+        if self.gaze.is_still() {
+            return Ok(self.gaze.clone());
+        }
+        let tangent = self.projection.screen_tangent(um).map_err(|e| e.to_string())?;
+        Ok(self.gaze.seen_along(self.projection.line_to(tangent)))
+    }
+
+    /// Highest frequency of the eye at the shortest wavelength, cycles per unit of the screen; 5 % above pupil over
+    /// wavelength, because the pupil seen from the field is not exactly round.
+    pub(super) fn cutoff(&self, experiment: &Experiment) -> f64 {
+        1.05 * experiment.eye.pupil_mm * 1e6 / crate::spectrum::MIN_NM * self.widest
+    }
+
+    /// Fewest µm of retina per unit of the screen in a tile, about; across the line of sight that of the fovea.
+    fn least_um_per_tangent(&self, tile: &RegionUm) -> Result<f64, PlanError> {
+        if self.projection.screen().is_frontal() {
+            return Ok(UM_PER_TANGENT);
+        }
+        let mut least = UM_PER_TANGENT;
+        for um in edge_points([tile.min, tile.max], 2) {
+            let map = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
+            let tangent = self.projection.screen_tangent(um).map_err(map)?;
+            let jacobian = self.projection.jacobian_um_per_tangent(tangent).map_err(map)?;
+            let longer = jacobian.x_axis.length().max(jacobian.y_axis.length());
+            least = least.min(jacobian.determinant().abs() / longer);
+        }
+        Ok(least)
+    }
+
     /// Window and grid of a result tile. A tile is imaged with all light that comes near its cones, wherever it is on the screen: tiles
     /// need no light from each other.
     ///
@@ -115,8 +204,8 @@ impl Setup {
         let needs = SceneNeeds {
             centre_px: DVec2::from_array(experiment.gaze.center_px),
             cones: screen_bounds(&self.projection, tile)?,
-            sight: self.sight,
-            guard: self.guard_um / UM_PER_TANGENT,
+            sight: self.gaze_of(tile)?.bounds(),
+            guard: self.guard_um / self.least_um_per_tangent(tile)?,
             blur: BLUR * seen.blur,
             band: band(experiment, self, tile, &seen),
             oversampling: Numerics::new(experiment).oversampling,
@@ -180,13 +269,7 @@ fn focused_eye(experiment: &Experiment) -> Result<(Prescription, EyeState), Plan
     let eye = &experiment.eye;
     let model = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
     let prescription = eye.prescription().map_err(model)?;
-    let mut state = EyeState {
-        pupil_mm: eye.pupil_mm,
-        decentre_mm: eye.decentre_mm,
-        accommodation_a: 0.0,
-        dispersion: eye.dispersion,
-        side: eye.side,
-    };
+    let mut state = relaxed(experiment);
     if eye.relaxed {
         return Ok((prescription, state));
     }
@@ -197,10 +280,16 @@ fn focused_eye(experiment: &Experiment) -> Result<(Prescription, EyeState), Plan
     Ok((prescription, state))
 }
 
-/// Highest frequency of the eye at the shortest wavelength, cycles per unit tangent; 5 % above pupil over wavelength, because the
-/// pupil seen from the field is not exactly round.
-pub(super) fn cutoff(experiment: &Experiment) -> f64 {
-    1.05 * experiment.eye.pupil_mm * 1e6 / crate::spectrum::MIN_NM
+/// The state of the unaccommodated eye.
+fn relaxed(experiment: &Experiment) -> EyeState {
+    let eye = &experiment.eye;
+    EyeState {
+        pupil_mm: eye.pupil_mm,
+        decentre_mm: eye.decentre_mm,
+        accommodation_a: 0.0,
+        dispersion: eye.dispersion,
+        side: eye.side,
+    }
 }
 
 /// The patch of retina: fixed by the experiment, or what the picture, its blur and the movement cover.
@@ -210,8 +299,18 @@ fn region(
     sight: [DVec2; 2],
 ) -> Result<RegionUm, PlanError> {
     let tangent = |deg: f64| deg.to_radians().tan();
-    let (corners, margin) = if let Some([x0, x1, y0, y1]) = experiment.retina.region_deg {
-        ([DVec2::new(tangent(x0), tangent(y0)), DVec2::new(tangent(x1), tangent(y1))], 0.0)
+    let screen = projection.screen();
+    // Points on the edge of the patch, in units of the screen.
+    let (edge, margin) = if let Some([x0, x1, y0, y1]) = experiment.retina.region_deg {
+        let corners = [DVec2::new(tangent(x0), tangent(y0)), DVec2::new(tangent(x1), tangent(y1))];
+        let on_screen = |way: DVec2| screen.met_by(DVec3::ZERO, way.extend(-1.0));
+        let edge: Option<Vec<DVec2>> = edge_points(corners, 4).into_iter().map(on_screen).collect();
+        let Some(edge) = edge else {
+            let value = format!("{x0} to {x1}, {y0} to {y1}");
+            let allowed = "directions in which the screen's plane lies before the eye";
+            return Err(RangeError::new("retina.region_deg", value, allowed).into());
+        };
+        (edge, 0.0)
     } else {
         let display = &experiment.display;
         let per_px = display.pixel_pitch_cm / display.distance_cm;
@@ -220,23 +319,38 @@ fn region(
         let (from, to) = (-centre * per_px, (size - centre) * per_px);
         let picture = [DVec2::new(from.x, -to.y) - sight[1], DVec2::new(to.x, -from.y) - sight[0]];
         let wide = if Rule::ConesOutside.applies(experiment) { 0.0 } else { WIDE_UM };
-        (picture, MARGIN_UM + wide)
+        (edge_points(picture, 4), MARGIN_UM + wide)
     };
-    let most = tangent(MAX_REGION_DEG);
-    let extent = corners[0].abs().max(corners[1].abs()).max_element();
-    if extent > most {
+    // Along each axis, as `retina.region_deg` is given.
+    let reach_deg = |t: &DVec2| {
+        let way = screen.way(*t);
+        (way.truncate().abs().max_element()).atan2(-way.z).to_degrees()
+    };
+    let extent_deg = edge.iter().map(reach_deg).fold(0.0, f64::max);
+    if extent_deg > MAX_REGION_DEG + 1e-9 {
         let allowed = format!(
-            "within {MAX_REGION_DEG}° of the gaze centre; here the picture with its movement reaches {:.2}°, give retina.region_deg",
-            extent.atan().to_degrees()
+            "within {MAX_REGION_DEG}° of the gaze centre; here the picture with its movement reaches {extent_deg:.2}°, give retina.region_deg"
         );
         return Err(RangeError::new("retina.region_deg", "the picture", &allowed).into());
     }
     let (mut min, mut max) = (DVec2::MAX, DVec2::MIN);
-    for t in edge_points(corners, 4) {
+    for t in edge {
         let um = projection.retina_um(t, 543.0).map_err(|e| PlanError::Model(e.to_string()))?;
         (min, max) = (min.min(um), max.max(um));
     }
     Ok(RegionUm { min: min - margin, max: max + margin })
+}
+
+/// Largest angle that a unit of the screen subtends in a patch, radians about, and at least 1.
+fn widest(projection: &Projection, region: &RegionUm) -> Result<f64, PlanError> {
+    let mut widest = 1.0;
+    if !projection.screen().is_frontal() {
+        for um in edge_points([region.min, region.max], 4) {
+            let t = projection.screen_tangent(um).map_err(|e| PlanError::Model(e.to_string()))?;
+            widest = f64::max(widest, projection.screen().nearness(t).sqrt());
+        }
+    }
+    Ok(widest)
 }
 
 /// Rectangle of the screen that holds everything imaged on a patch and on the apertures that stick out of it.

@@ -6,9 +6,9 @@
 
 use glam::DVec2;
 
+use super::ScreenView;
 use super::sloan;
-use crate::display::Display;
-use crate::experiment::{ChartRow, Gaze, SloanChart};
+use crate::experiment::{ChartRow, SloanChart};
 
 /// Samples across a pixel for its coverage.
 const SAMPLES: u32 = 4;
@@ -57,8 +57,8 @@ pub struct Layout<'a> {
 
 impl<'a> Layout<'a> {
     /// Places the rows around a point (pixels).
-    pub fn new(chart: &'a SloanChart, display: &Display, centre_px: DVec2) -> Self {
-        let arcmin_px = (1.0_f64 / 60.0).to_radians().tan() * display.distance_cm / display.pixel_pitch_cm;
+    pub fn new(chart: &'a SloanChart, view: &ScreenView, centre_px: DVec2) -> Self {
+        let arcmin_px = view.px_per_arcmin();
         let letter = |row: &ChartRow| 5.0 * row.stroke_arcmin * arcmin_px;
         let gaps: f64 = chart.rows.iter().skip(1).map(letter).sum();
         let height: f64 = chart.rows.iter().map(letter).sum::<f64>() + gaps;
@@ -115,12 +115,12 @@ impl<'a> Layout<'a> {
 }
 
 /// The chart or charts of a pattern: one around the gaze centre, or one in each half of the screen.
-pub fn layouts<'a>(chart: &'a SloanChart, display: &Display, gaze: &Gaze) -> Vec<Layout<'a>> {
+pub fn layouts<'a>(chart: &'a SloanChart, view: &ScreenView) -> Vec<Layout<'a>> {
     if chart.lower_paper_rgb.is_none() {
-        return vec![Layout::new(chart, display, DVec2::from_array(gaze.center_px))];
+        return vec![Layout::new(chart, view, view.gaze_px)];
     }
-    let size = DVec2::new(f64::from(display.width_px), f64::from(display.height_px));
-    [0.25, 0.75].map(|part| Layout::new(chart, display, size * DVec2::new(0.5, part))).into()
+    let size = DVec2::new(f64::from(view.display.width_px), f64::from(view.display.height_px));
+    [0.25, 0.75].map(|part| Layout::new(chart, view, size * DVec2::new(0.5, part))).into()
 }
 
 /// A letter as the viewer sees it.
@@ -137,18 +137,17 @@ pub struct PlacedLetter {
 }
 
 /// Where the letters of a chart, or of its two charts, are seen.
-pub fn placed_letters(chart: &SloanChart, display: &Display, gaze: &Gaze) -> Vec<PlacedLetter> {
-    let px_deg = display.pixel_radians().to_degrees();
+pub fn placed_letters(chart: &SloanChart, view: &ScreenView) -> Vec<PlacedLetter> {
+    let [_, px_deg] = view.pixel_deg();
     let mut letters = Vec::new();
-    let rows = layouts(chart, display, gaze).into_iter().flat_map(|layout| layout.rows);
+    let rows = layouts(chart, view).into_iter().flat_map(|layout| layout.rows);
     for (row, placed) in rows.enumerate() {
         for (i, letter) in placed.letters.iter().enumerate() {
             let corner_px = placed.corner + placed.stroke_px * DVec2::new(10.0 * i as f64, 5.0);
-            let from_gaze = corner_px - DVec2::from_array(gaze.center_px);
             letters.push(PlacedLetter {
                 letter: *letter,
                 row,
-                corner_deg: DVec2::new(from_gaze.x, -from_gaze.y) * px_deg,
+                corner_deg: view.linear_deg(corner_px),
                 stroke_deg: placed.stroke_px * px_deg,
             });
         }

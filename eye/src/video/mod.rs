@@ -9,6 +9,7 @@ mod decode;
 mod netpbm;
 mod pattern;
 pub mod reader;
+mod screen_view;
 mod sloan;
 pub mod sweep;
 mod y4m;
@@ -17,6 +18,7 @@ pub use chart::{PlacedLetter, logmar_rows, paper_rows, placed_letters};
 pub use clip::{ClipFormat, ClipInfo, Matrix, Range, Raw, Yuv, clip_info, decode_frame};
 pub use decode::{DecodeError, Limits, decode_png, png_size};
 pub use pattern::draw;
+pub use screen_view::ScreenView;
 
 /// A picture: pixel values 0 to 1, row-major from the top left, red green blue.
 #[derive(Clone, Debug, PartialEq)]

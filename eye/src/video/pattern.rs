@@ -3,17 +3,18 @@
 
 use glam::DVec2;
 
-use super::Picture;
 use super::chart::{Layout, layouts};
 use super::sloan::LETTERS;
+use super::{Picture, ScreenView};
 use crate::display::Display;
-use crate::experiment::{ChartRow, Gaze, Pattern, RangeError, SloanChart, check_range};
+use crate::experiment::{ChartRow, Pattern, RangeError, SizesHold, SloanChart, check_range};
 
-/// Draws a pattern for a display and a gaze.
-pub fn draw(pattern: &Pattern, display: &Display, gaze: &Gaze) -> Picture {
+/// Draws a pattern as large as it is to be seen.
+pub fn draw(pattern: &Pattern, view: &ScreenView) -> Picture {
+    let display = view.display;
     let (width, height) = (display.width_px, display.height_px);
     let charts = match pattern {
-        Pattern::SloanChart(chart) => layouts(chart, display, gaze),
+        Pattern::SloanChart(chart) => layouts(chart, view),
         _ => Vec::new(),
     };
     let mut rgb = Vec::with_capacity(3 * width as usize * height as usize);
@@ -21,7 +22,7 @@ pub fn draw(pattern: &Pattern, display: &Display, gaze: &Gaze) -> Picture {
         for column in 0..width {
             let colour = match pattern {
                 Pattern::SloanChart(chart) => chart_pixel(chart, &charts, display, column, row),
-                _ => pixel(pattern, display, gaze, column, row),
+                _ => pixel(pattern, view, [column, row]),
             };
             rgb.extend(colour.map(|v| v as f32));
         }
@@ -29,19 +30,16 @@ pub fn draw(pattern: &Pattern, display: &Display, gaze: &Gaze) -> Picture {
     Picture { width, height, rgb }
 }
 
-/// Degrees from the gaze centre of a pixel, x right, y up.
-fn degrees(display: &Display, gaze: &Gaze, column: u32, row: u32) -> DVec2 {
-    let pixel_deg = display.pixel_radians().to_degrees();
-    let x = (f64::from(column) + 0.5 - gaze.center_px[0]) * pixel_deg;
-    let y = (gaze.center_px[1] - f64::from(row) - 0.5) * pixel_deg;
-    DVec2::new(x, y)
-}
-
-fn pixel(pattern: &Pattern, display: &Display, gaze: &Gaze, column: u32, row: u32) -> [f64; 3] {
+fn pixel(pattern: &Pattern, view: &ScreenView, [column, row]: [u32; 2]) -> [f64; 3] {
+    let display = view.display;
+    let middle = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5);
     match pattern {
         Pattern::Uniform { rgb } => *rgb,
-        Pattern::Grating { cycles_per_degree, contrast, orientation_deg, phase_deg } => {
-            let at = degrees(display, gaze, column, row);
+        Pattern::Grating { cycles_per_degree, contrast, orientation_deg, phase_deg, sizes_hold } => {
+            let at = match sizes_hold {
+                SizesHold::AtGaze => view.linear_deg(middle),
+                SizesHold::Everywhere => view.visual_deg(middle),
+            };
             let (sin, cos) = orientation_deg.to_radians().sin_cos();
             let cycles = cycles_per_degree * (at.x * cos + at.y * sin);
             let light =
@@ -50,8 +48,8 @@ fn pixel(pattern: &Pattern, display: &Display, gaze: &Gaze, column: u32, row: u3
         }
         Pattern::Sweep { from_cycles_per_degree, to_cycles_per_degree, contrast, rgb } => {
             // The phase is the integral of the frequency from the left edge.
-            let pixel_deg = display.pixel_radians().to_degrees();
-            let (x, width) = ((f64::from(column) + 0.5) * pixel_deg, f64::from(display.width_px) * pixel_deg);
+            let [pixel_deg, _] = view.pixel_deg();
+            let (x, width) = (middle.x * pixel_deg, f64::from(display.width_px) * pixel_deg);
             let rise = (to_cycles_per_degree - from_cycles_per_degree) / width;
             let cycles = from_cycles_per_degree * x + 0.5 * rise * x * x;
             let light = 0.5 * (1.0 + contrast * (std::f64::consts::TAU * cycles).cos());
@@ -116,7 +114,7 @@ impl Pattern {
     pub fn validate(&self, size_px: [u32; 2]) -> Result<(), RangeError> {
         match self {
             Self::Uniform { rgb } => check_rgb("video.pattern.uniform.rgb", *rgb),
-            Self::Grating { cycles_per_degree, contrast, orientation_deg, phase_deg } => {
+            Self::Grating { cycles_per_degree, contrast, orientation_deg, phase_deg, .. } => {
                 check_range("video.pattern.grating.cycles_per_degree", *cycles_per_degree, 0.0, 1000.0)?;
                 check_range("video.pattern.grating.contrast", *contrast, 0.0, 1.0)?;
                 check_range("video.pattern.grating.orientation_deg", *orientation_deg, -360.0, 360.0)?;
@@ -170,7 +168,8 @@ impl SloanChart {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::display::{Channel, EmissionLaw, Panel, Primary, Transfer, Waveform, White};
+    use crate::display::{Channel, EmissionLaw, Panel, Placement, Primary, Transfer, Waveform, White};
+    use crate::experiment::Gaze;
     use crate::spectrum::Spectrum;
     use crate::video::{logmar_rows, paper_rows};
 
@@ -181,6 +180,7 @@ mod tests {
             height_px,
             pixel_pitch_cm: 2.54 / 1200.0,
             distance_cm: 50.0,
+            placement: Placement::Frontal,
             white: White::LuminanceCdM2(100.0),
             frame_rate_hz: 60.0,
             transfer: Transfer::Linear,
@@ -202,7 +202,7 @@ mod tests {
     /// Red of a picture, `[row][column]`.
     fn red(pattern: &Pattern, display: &Display) -> Vec<Vec<f32>> {
         let centre = [0.5 * f64::from(display.width_px), 0.5 * f64::from(display.height_px)];
-        let picture = draw(pattern, display, &Gaze::still(centre));
+        let picture = draw(pattern, &ScreenView::frontal(display, &Gaze::still(centre)));
         picture
             .rgb
             .chunks_exact(3 * display.width_px as usize)

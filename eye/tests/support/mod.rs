@@ -12,7 +12,9 @@ use std::sync::{Mutex, PoisonError};
 use photoneye_eye::artifact::Input;
 use photoneye_eye::cone::directional::{DEFAULT_RHO10_PER_MM2, PointingLaw};
 use photoneye_eye::digest::Digest;
-use photoneye_eye::display::{Channel, Display, EmissionLaw, Panel, Primary, Transfer, Waveform, White};
+use photoneye_eye::display::{
+    Channel, Display, EmissionLaw, Panel, Placement, Primary, Transfer, Waveform, White,
+};
 use photoneye_eye::experiment::{
     Counts, Engine, Experiment, Eye, Gaze, Movement, PaperSettings, Pattern, Retina, Video,
 };
@@ -65,6 +67,7 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             height_px: 30,
             pixel_pitch_cm: 0.58,
             distance_cm: 800.0,
+            placement: Placement::Frontal,
             white: White::LuminanceCdM2(250.0),
             frame_rate_hz: 60.0,
             transfer: Transfer::Srgb,

@@ -22,7 +22,7 @@ use photoneye_eye::optics::{Fovea, Projection, PupilBundle, PupilRay, SchematicE
 use photoneye_eye::plan::{Plan, plan};
 use photoneye_eye::retina::Retina;
 use photoneye_eye::spectrum::Spectrum;
-use photoneye_eye::video::draw;
+use photoneye_eye::video::{ScreenView, draw};
 use rayon::prelude::*;
 
 use crate::support::{build, figure_12, primary};
@@ -67,7 +67,7 @@ impl Prepared {
         let of_kernels = plan.artifacts.iter().find(|a| a.key == kernels).unwrap();
         let ArtifactSpec::Kernels(spec) = &of_kernels.spec else { panic!("kernels") };
         let eye = SchematicEye::new(&spec.prescription, &spec.state).unwrap();
-        let projection = Projection::new(&eye, spec.distance_mm).unwrap();
+        let projection = Projection::of(&eye, spec.screen).unwrap();
         let exposure = Exposure::new(experiment, &artifacts).unwrap();
         let retina = Retina::from_bytes(artifacts[0]).unwrap();
         Self { experiment: experiment.clone(), plan, exposure, retina, projection }
@@ -82,7 +82,7 @@ impl Prepared {
     pub fn reference(&self, cones: &[usize], nodes: usize, rings: usize) -> Vec<f64> {
         let display = &self.experiment.display;
         let Video::Pattern(pattern) = &self.experiment.video else { panic!("a pattern") };
-        let picture = draw(pattern, display, &self.experiment.gaze);
+        let picture = draw(pattern, &ScreenView::frontal(display, &self.experiment.gaze));
         let emitter = &emitters(display).unwrap()[0];
         let apertures: Vec<Vec<(DVec3, f64)>> = cones.iter().map(|i| self.aperture(*i)).collect();
         // Source points with their photons per steradian and area of the pupil: I = N/π cos θ, over the squared distance.

@@ -2,13 +2,13 @@
 
 use photoneye_eye::catalog;
 use photoneye_eye::display::{
-    Channel, Display, EmissionLaw, Levels, Panel, Primary, Scan, Transfer, Waveform, White,
+    Channel, Display, EmissionLaw, Levels, Panel, Placement, Primary, Scan, Transfer, Waveform, White,
 };
 use photoneye_eye::spectrum::Spectrum;
 use photoneye_proto::v1::{self, spectrum, waveform};
 use photoneye_proto::{FieldError, from_json};
 
-use super::read::{choice, empty_choice, field_error, in_range, needed, number};
+use super::read::{choice, empty_choice, field_error, in_range, needed, number, numbers};
 
 /// The validated-to-be display of a spec.
 ///
@@ -32,11 +32,14 @@ pub fn display(spec: Option<&v1::Display>) -> Result<Display, FieldError> {
     let mut primaries: Vec<Primary> = primaries.collect::<Result<_, _>>()?;
     primaries.extend(spec.ambient.as_ref().map(ambient).transpose()?);
     let contrast = spec.contrast.map(|c| in_range("display.contrast", c, 1.0, 1e9)).transpose()?;
+    let width_px = needed("display.width_px", spec.width_px)?;
+    let height_px = needed("display.height_px", spec.height_px)?;
     let display = Display {
-        width_px: needed("display.width_px", spec.width_px)?,
-        height_px: needed("display.height_px", spec.height_px)?,
+        width_px,
+        height_px,
         pixel_pitch_cm: needed("display.pixel_pitch_cm", spec.pixel_pitch_cm)?,
         distance_cm: needed("display.distance_cm", spec.distance_cm)?,
+        placement: placement(&spec, [width_px, height_px])?,
         white,
         frame_rate_hz: needed("display.frame_rate_hz", spec.frame_rate_hz)?,
         transfer: transfer(&spec)?,
@@ -88,7 +91,43 @@ fn over(preset: v1::Display, spec: &v1::Display) -> v1::Display {
         levels: spec.levels.or(preset.levels),
         source: spec.source.clone().or(preset.source),
         licence: spec.licence.clone().or(preset.licence),
+        placement: spec.placement.or(preset.placement),
+        eye_at_px: if spec.eye_at_px.is_empty() { preset.eye_at_px } else { spec.eye_at_px.clone() },
+        tilt_deg: spec.tilt_deg.or(preset.tilt_deg),
+        turn_deg: spec.turn_deg.or(preset.turn_deg),
+        curvature_radius_cm: spec.curvature_radius_cm.or(preset.curvature_radius_cm),
     }
+}
+
+/// How the screen stands before the head.
+fn placement(spec: &v1::Display, size_px: [u32; 2]) -> Result<Placement, FieldError> {
+    use v1::display::Placement as P;
+    let placed = choice("display.placement", spec.placement, P::Fixed, P::as_str_name)?;
+    if placed == P::Frontal {
+        let given = [
+            ("eye_at_px", !spec.eye_at_px.is_empty()),
+            ("tilt_deg", spec.tilt_deg.is_some()),
+            ("turn_deg", spec.turn_deg.is_some()),
+            ("curvature_radius_cm", spec.curvature_radius_cm.is_some()),
+        ];
+        return match given.into_iter().find(|(_, is_given)| *is_given) {
+            Some((name, _)) => {
+                Err(FieldError::new(format!("display.{name}"), "excludes `placement` `FRONTAL`"))
+            }
+            None => Ok(Placement::Frontal),
+        };
+    }
+    let eye_at_px = if spec.eye_at_px.is_empty() {
+        size_px.map(|size| 0.5 * f64::from(size))
+    } else {
+        numbers("display.eye_at_px", &spec.eye_at_px)?
+    };
+    Ok(Placement::Fixed {
+        eye_at_px,
+        tilt_deg: number(spec.tilt_deg, 0.0),
+        turn_deg: number(spec.turn_deg, 0.0),
+        curvature_radius_cm: spec.curvature_radius_cm.map(|radius_cm| radius_cm + 0.0),
+    })
 }
 
 fn transfer(spec: &v1::Display) -> Result<Transfer, FieldError> {

@@ -7,6 +7,7 @@ mod scene;
 
 use photoneye_eye::experiment::{Counts, Engine, Experiment, PaperSettings, Retina, Video};
 use photoneye_eye::plan::engine::automatic;
+use photoneye_eye::plan::setup::fixation;
 use photoneye_eye::plan::{Knobs, Rule};
 use photoneye_eye::retina::{Aperture, CellWalls, DensityLaw, Dropout, Generator};
 use photoneye_proto::{FieldError, v1};
@@ -46,6 +47,15 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
         frames,
     };
     experiment.validate().map_err(field_error)?;
+    let is_focus_given = spec.eye.as_ref().is_some_and(|e| e.focus.is_some_and(|f| f.distance_cm.is_some()));
+    if !is_focus_given {
+        // The eye accommodates to the point that it fixates.
+        let fixation = fixation(&experiment).map_err(read::plan_error)?;
+        if !fixation.screen.is_frontal() {
+            experiment.eye.focus_distance_cm = 0.1 * fixation.screen.fixated_mm();
+            experiment.validate().map_err(field_error)?;
+        }
+    }
     let (gaze, rate) = (&experiment.gaze, experiment.display.frame_rate_hz);
     scene::recording_covers(spec.gaze.as_ref(), gaze, experiment.frames, rate)?;
     if is_auto(spec.counts.as_ref()) {

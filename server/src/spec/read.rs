@@ -1,11 +1,20 @@
 //! Small readers: a value or its default, with the field's path in every error.
 
 use photoneye_eye::experiment::RangeError;
+use photoneye_eye::plan::PlanError;
 use photoneye_proto::FieldError;
 
 /// An error of the model, in the schema's words.
 pub fn field_error(error: RangeError) -> FieldError {
     FieldError::new(error.field, format!("{} is out of range, allowed is {}", error.value, error.allowed))
+}
+
+/// What the planner refuses; what the optics refuse is the eye's.
+pub fn plan_error(error: PlanError) -> FieldError {
+    match error {
+        PlanError::Range(error) => field_error(error),
+        PlanError::Model(message) => FieldError::new("eye", message),
+    }
 }
 
 /// The number or its default; -0 is 0.

@@ -2,7 +2,7 @@
 
 use photoneye_eye::display::Display;
 use photoneye_eye::experiment::{
-    ChartRow, Clip, Gaze, Microsaccades, Movement, Pattern, SloanChart, Tremor, Video,
+    ChartRow, Clip, Gaze, Microsaccades, Movement, Pattern, SizesHold, SloanChart, Tremor, Video,
 };
 use photoneye_eye::video::{ClipFormat, Matrix, Range, Raw, Yuv, logmar_rows, paper_rows};
 use photoneye_proto::FieldError;
@@ -85,6 +85,7 @@ fn pattern_of(spec: &v1::Pattern, gaze: &Gaze, display: &Display) -> Result<Patt
             contrast: number(grating.contrast, 1.0),
             orientation_deg: number(grating.orientation_deg, 0.0),
             phase_deg: number(grating.phase_deg, 0.0),
+            sizes_hold: sizes_hold(grating)?,
         },
         Some(pattern::Kind::Checkerboard(board)) => {
             Pattern::Checkerboard { square_px: board.square_px.unwrap_or(1) }
@@ -114,6 +115,15 @@ fn pattern_of(spec: &v1::Pattern, gaze: &Gaze, display: &Display) -> Result<Patt
             let names = ["uniform", "grating", "checkerboard", "point", "sweep", "sloan_chart"];
             return Err(empty_choice("video.pattern", &names));
         }
+    })
+}
+
+fn sizes_hold(spec: &pattern::Grating) -> Result<SizesHold, FieldError> {
+    use pattern::grating::SizesHold as S;
+    let field = "video.pattern.grating.sizes_hold";
+    Ok(match choice(field, spec.sizes_hold, S::AtGaze, S::as_str_name)? {
+        S::AtGaze => SizesHold::AtGaze,
+        S::Everywhere => SizesHold::Everywhere,
     })
 }
 

@@ -48,10 +48,9 @@ pub struct Lights {
     block_px: u32,
     columns: u32,
     sums: Vec<Vec<f64>>,
-    /// By primary: photons of a fully driven pixel into the pupil, its courses, and where the line of sight is on average.
+    /// By primary: photons of a fully driven pixel into the pupil, and its courses.
     photons: Vec<f64>,
     courses: Vec<Vec<Course>>,
-    sight: Vec<DVec2>,
 }
 
 impl Lights {
@@ -61,14 +60,7 @@ impl Lights {
         let px_um = UM_PER_TANGENT * display.pixel_pitch_cm / display.distance_cm;
         let block_px = ((BLOCK_UM / px_um) as u32).max(1);
         let [columns, rows] = [display.width_px, display.height_px].map(|n| n.div_ceil(block_px));
-        let mut made = Self {
-            block_px,
-            columns,
-            sums: Vec::new(),
-            photons: Vec::new(),
-            courses: Vec::new(),
-            sight: Vec::new(),
-        };
+        let mut made = Self { block_px, columns, sums: Vec::new(), photons: Vec::new(), courses: Vec::new() };
         for emitter in &projector.emitters {
             let courses = courses(emitter, display, shown.index);
             let mut sums = vec![0.0; (columns * rows) as usize];
@@ -78,15 +70,19 @@ impl Lights {
                     sums[(row / block_px * columns + column / block_px) as usize] += light;
                 }
             }
-            let nodes = courses.iter().flat_map(|c| times(projector, c, shown.index, 1.0));
-            let (at, shares) = nodes.fold((DVec2::ZERO, 0.0), |(at, sum), (s, w)| (at + w * s, sum + w));
             made.sums.push(sums);
             made.photons.push(emitter.emitted() * projector.pupil_share);
             made.courses.push(courses);
-            made.sight.push(if shares > 0.0 { at / shares } else { DVec2::ZERO });
         }
         made
     }
+}
+
+/// Where the line of sight is on average while a primary's light leaves, pixels.
+fn mean_sight(projector: &Projector, courses: &[Course], index: u32) -> DVec2 {
+    let nodes = courses.iter().flat_map(|c| times(projector, c, index, 1.0));
+    let (at, shares) = nodes.fold((DVec2::ZERO, 0.0), |(at, sum), (s, w)| (at + w * s, sum + w));
+    if shares > 0.0 { at / shares } else { DVec2::ZERO }
 }
 
 /// The mean of a cone in a frame.
@@ -102,7 +98,17 @@ pub fn mean(
 ) -> Result<f64, String> {
     let display = &projector.display;
     let tangent = optics.projection.screen_tangent(cone.um).map_err(|e| e.to_string())?;
-    let ecc_deg = tangent.length().atan().to_degrees();
+    // The screen moves before this cone as the eye turns, not as the middle of its tile sees it.
+    let own_projector;
+    let projector = if projector.gaze.is_still() {
+        projector
+    } else {
+        let gaze = projector.gaze.seen_along(optics.projection.line_to(tangent));
+        own_projector = Projector { gaze, ..projector.clone() };
+        &own_projector
+    };
+    let sight = lights.courses.iter().map(|c| mean_sight(projector, c, shown.index)).collect();
+    let ecc_deg = optics.projection.screen().eccentricity_deg(tangent);
     let kind = Kind::Isomerized(cone.kind);
     let place = (cone.um, width_um(&cone.polygon_um));
     let collection = Collection::new(optics, &projector.emitters, kind, place, ecc_deg)?;
@@ -114,8 +120,8 @@ pub fn mean(
     let aperture = aperture(&corners, 0.5 * collection.period_um());
     let per_px = display.pixel_pitch_cm / display.distance_cm;
     let centre_px = DVec2::from_array(experiment.gaze.center_px) + flip(tangent) / per_px;
-    let mut sum = Sum { projector, shown, lights, collection, per_px, centre_px, nodes: Vec::new() };
-    let period_px = sum.collection.period_um() / sum.px_um();
+    let mut sum = Sum { projector, shown, lights, sight, collection, per_px, centre_px, nodes: Vec::new() };
+    let period_px = sum.collection.period_um() / sum.longer_px_um();
     let of_emitter = |emitter: &Emitter| [period_px, AFAR * period_px].map(|px| pixel_nodes(emitter, px));
     sum.nodes = projector.emitters.iter().map(of_emitter).collect();
     let lit = sum.lit_offsets();
@@ -147,6 +153,8 @@ struct Sum<'a> {
     projector: &'a Projector,
     shown: &'a Shown<'a>,
     lights: &'a Lights,
+    /// By primary: where the line of sight is on average, pixels.
+    sight: Vec<DVec2>,
     /// What the cone's aperture counts by the offset of its centre.
     collection: Collection,
     per_px: f64,
@@ -175,9 +183,9 @@ impl Sum<'_> {
                 (first[1] + lights.block_px).min(display.height_px),
             ];
             let middle = 0.5 * DVec2::new(f64::from(first[0] + last[0]), f64::from(first[1] + last[1]));
-            let away = (middle - lights.sight[primary] - self.centre_px).abs().max_element();
+            let away = (middle - self.sight[primary] - self.centre_px).abs().max_element();
             if away > reach + moves {
-                return light * self.collected(primary, middle - lights.sight[primary]);
+                return light * self.collected(primary, middle - self.sight[primary]);
             }
             let rows = first[1]..last[1];
             let of_row = |row| {
@@ -193,10 +201,10 @@ impl Sum<'_> {
     /// The same of one pixel that is near, over its time and its rectangles.
     fn pixel(&self, primary: usize, emitter: &Emitter, at: [u32; 2]) -> f64 {
         let Projector { display, .. } = self.projector;
-        let period_px = self.collection.period_um() / self.px_um();
+        let period_px = self.collection.period_um() / self.longer_px_um();
         let corner = DVec2::new(f64::from(at[0]), f64::from(at[1]));
         // From afar only the mean over several periods matters.
-        let far = (corner + 0.5 - self.lights.sight[primary] - self.centre_px).length()
+        let far = (corner + 0.5 - self.sight[primary] - self.centre_px).length()
             - std::f64::consts::FRAC_1_SQRT_2
             - self.longest_path(primary);
         let follow = if far * self.px_um() > CORE_UM { AFAR * period_px } else { period_px };
@@ -240,7 +248,7 @@ impl Sum<'_> {
             for (index, _) in sums.iter().enumerate().filter(|(_, light)| **light > 0.0) {
                 let columns = self.lights.columns as usize;
                 let first = DVec2::new((index % columns) as f64, (index / columns) as f64) * block;
-                let seen = first - self.lights.sight[primary] - self.centre_px;
+                let seen = first - self.sight[primary] - self.centre_px;
                 (low, high) = (low.min(seen - around), high.max(seen + block + around));
             }
         }
@@ -259,13 +267,19 @@ impl Sum<'_> {
         self.per_px * to_retina.determinant().abs() / longer
     }
 
+    /// The same, the longer way.
+    fn longer_px_um(&self) -> f64 {
+        let to_retina = self.collection.local.to_retina;
+        self.per_px * to_retina.x_axis.length().max(to_retina.y_axis.length())
+    }
+
     /// How far the line of sight goes from its mean, pixels.
     fn longest_path(&self, primary: usize) -> f64 {
         let gaze = |c: &Course| {
             let seconds = 1.0 / self.projector.display.frame_rate_hz;
             c.segments(&self.projector.gaze, self.shown.index, seconds, self.per_px)
         };
-        let from_mean = |p: DVec2| (p - self.lights.sight[primary]).length();
+        let from_mean = |p: DVec2| (p - self.sight[primary]).length();
         let ends = self.lights.courses[primary].iter().flat_map(gaze).flat_map(|s| s.sight.map(from_mean));
         ends.fold(0.0, f64::max)
     }
@@ -278,7 +292,7 @@ impl Sum<'_> {
             shown: self.shown,
             gaze_px: DVec2::from_array(experiment.gaze.center_px),
             cone_px: self.centre_px,
-            sight_px: self.lights.sight[primary],
+            sight_px: self.sight[primary],
         };
         let emitter = &self.projector.emitters[primary];
         let light = seen.light(emitter, &self.lights.courses[primary], scatter);

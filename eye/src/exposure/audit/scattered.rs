@@ -48,12 +48,16 @@ impl Seen<'_> {
         DVec2::new(from.x, -from.y)
     }
 
+    /// Direction of a point of the display, of any length.
+    fn way(&self, px: DVec2) -> DVec3 {
+        self.beams.screen().way(self.tangent(px))
+    }
+
     /// Light that a pixel's area at the cone's place receives, relative to that of a pixel into the pupil.
     pub fn light(&self, emitter: &Emitter, courses: &[Course], scatter: &Scatter) -> f64 {
         let display = &self.projector.display;
-        let here = self.tangent(self.cone_px + self.sight_px).extend(1.0).normalize();
-        let solid_angle =
-            self.per_px().powi(2) / (1.0 + self.tangent(self.cone_px).length_squared()).powf(1.5);
+        let here = self.way(self.cone_px + self.sight_px).normalize();
+        let solid_angle = self.per_px().powi(2) * self.beams.screen().solid_angle(self.tangent(self.cone_px));
         let middle = emitter.rects.iter().fold(DVec2::ZERO, |sum, ([x0, y0, x1, y1], share)| {
             sum + share * 0.5 * DVec2::new(x0 + x1, y0 + y1)
         });
@@ -83,7 +87,7 @@ impl Seen<'_> {
     }
 
     fn angle(&self, px: DVec2, here: DVec3) -> f64 {
-        let there = self.tangent(px).extend(1.0);
+        let there = self.way(px);
         there.cross(here).length().atan2(there.dot(here)).to_degrees()
     }
 

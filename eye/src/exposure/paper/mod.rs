@@ -188,7 +188,7 @@ impl Paper {
                 1.0 - media.reflected(nm),
                 media.cornea(nm, self.paths[channel].cornea) / (1.0 - media.reflected(nm)),
                 media.lens(nm, self.paths[channel].lens),
-                media.macula(nm, tangent.length().atan().to_degrees()),
+                media.macula(nm, projection.screen().eccentricity_deg(tangent)),
             ],
         })
     }

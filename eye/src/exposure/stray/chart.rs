@@ -52,9 +52,16 @@ impl<'a> Screen<'a> {
         self.scene.tangent(px - self.first())
     }
 
-    /// Its direction, of any length.
+    /// Its direction, of any length; z away from the viewer.
     pub fn way(&self, px: DVec2) -> DVec3 {
-        self.tangent(px).extend(1.0)
+        let way = self.beams.screen().way(self.tangent(px));
+        DVec3::new(way.x, way.y, -way.z)
+    }
+
+    /// The point of the display in a direction, pixels; `None` when none is there.
+    fn px_in(&self, way: DVec3) -> Option<DVec2> {
+        let along = DVec3::new(way.x, way.y, -way.z);
+        self.beams.screen().met_by(DVec3::ZERO, along).map(|tangent| self.px(tangent))
     }
 
     /// Light of a point of the display that enters the pupil, relative to the gaze centre.
@@ -64,12 +71,22 @@ impl<'a> Screen<'a> {
 
     /// Solid angle of a pixel, sr.
     pub fn solid_angle(&self, px: DVec2) -> f64 {
-        self.scene.tangent_per_px.powi(2) / (1.0 + self.tangent(px).length_squared()).powf(1.5)
+        self.scene.tangent_per_px.powi(2) * self.beams.screen().solid_angle(self.tangent(px))
     }
 
-    /// Pixels in a degree at the gaze centre, where they are the largest.
+    /// Pixels in a degree where they are the largest.
     pub fn px_per_deg(&self) -> f64 {
-        1_f64.to_radians() / self.scene.tangent_per_px
+        /// Parts of each side between which the nearest point is looked for.
+        const PARTS: u32 = 8;
+        let from_gaze = 1_f64.to_radians() / self.scene.tangent_per_px;
+        if self.beams.screen().is_frontal() {
+            return from_gaze;
+        }
+        let size = DVec2::new(f64::from(self.size[0]), f64::from(self.size[1]));
+        let part = |i: u32| f64::from(i) / f64::from(PARTS);
+        let places = (0..=PARTS).flat_map(|i| (0..=PARTS).map(move |j| DVec2::new(part(i), part(j))));
+        let nearest = places.map(|place| self.way(size * place).length()).fold(f64::MAX, f64::min);
+        from_gaze * nearest
     }
 }
 
@@ -123,10 +140,9 @@ impl Chart {
             let (x, y) = (min.x + t * (max.x - min.x), min.y + t * (max.y - min.y));
             for place in [(x, min.y), (x, max.y), (min.x, y), (max.x, y)] {
                 let way = self.way(DVec2::from(place));
-                if way.z < 0.05 {
+                let Some(px) = screen.px_in(way).filter(|_| way.z >= 0.05) else {
                     return [DVec2::ZERO, size];
-                }
-                let px = screen.px(DVec2::new(way.x, way.y) / way.z);
+                };
                 (from, to) = (from.min(px), to.max(px));
             }
         }

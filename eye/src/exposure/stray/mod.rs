@@ -55,6 +55,7 @@ pub struct Veil {
     fraction: f64,
     /// Where pixels are.
     scene: super::scene::Scene,
+    screen: crate::optics::Screen,
     chart: Chart,
     near: Option<Near>,
     far: Far,
@@ -85,8 +86,7 @@ impl Veil {
         let scatter = Scatter::new(experiment, stray)?;
         let Primaries { kernels, projector } = primaries;
         let screen = Screen::new(&inputs.scene, &inputs.beams, &projector.display);
-        let seconds = f64::from(experiment.frames) / projector.display.frame_rate_hz;
-        let sight = projector.gaze.bounds(seconds).map(|at| DVec2::new(at.x, -at.y));
+        let sight = projector.gaze.bounds().map(|at| DVec2::new(at.x, -at.y));
         let per_px = inputs.scene.tangent_per_px;
         let (shift_min, shift_max) = (sight[0].min(sight[1]) / per_px, sight[0].max(sight[1]) / per_px);
         let receivers = receivers(kernels, cones, &screen);
@@ -105,7 +105,8 @@ impl Veil {
         let around = (&chart, [min, max]);
         let near = Near::new(&screen, around, &projector.emitters, &scatter);
         let far = Far::new(&screen, around, &projector.emitters, &scatter);
-        Ok(Self { fraction: scatter.fraction(), scene: inputs.scene.clone(), chart, near, far, receivers })
+        let (scene, screen) = (inputs.scene.clone(), *inputs.beams.screen());
+        Ok(Self { fraction: scatter.fraction(), scene, screen, chart, near, far, receivers })
     }
 
     /// Fraction of the light that stays in the image.
@@ -170,7 +171,8 @@ impl Veil {
     /// Direction of a point of the display, pixels.
     fn scene_way(&self, px: DVec2) -> glam::DVec3 {
         let first = DVec2::new(f64::from(self.scene.first_px[0]), f64::from(self.scene.first_px[1]));
-        self.scene.tangent(px - first).extend(1.0)
+        let way = self.screen.way(self.scene.tangent(px - first));
+        glam::DVec3::new(way.x, way.y, -way.z)
     }
 }
 

@@ -6,7 +6,7 @@ mod run;
 use glam::DVec2;
 use photoneye_eye::experiment::{Pattern, Video};
 use photoneye_eye::video::reader::read_row;
-use photoneye_eye::video::{Limits, PlacedLetter, decode_png, placed_letters, sweep};
+use photoneye_eye::video::{Limits, PlacedLetter, ScreenView, decode_png, placed_letters, sweep};
 use serde_json::{Value, json};
 
 use super::Task;
@@ -81,9 +81,8 @@ fn parsed(text: &str) -> Result<Value, Failure> {
 
 fn letters(figure: &Figure) -> Vec<PlacedLetter> {
     match &figure.experiment.video {
-        Video::Pattern(Pattern::SloanChart(chart)) => {
-            placed_letters(chart, &figure.experiment.display, &figure.experiment.gaze)
-        }
+        Video::Pattern(Pattern::SloanChart(chart)) => ScreenView::of(&figure.experiment)
+            .map_or_else(|_| Vec::new(), |view| placed_letters(chart, &view)),
         Video::Pattern(_) | Video::Clip(_) => Vec::new(),
     }
 }

@@ -10,6 +10,7 @@ use photoneye_eye::exposure::{ConeColumns, Exposure, FrameCounts, cone_columns};
 use photoneye_eye::movement::Gaze;
 use photoneye_eye::picture::{ConeShapes, RgbImage, View};
 use photoneye_eye::plan::plan;
+use photoneye_eye::plan::setup::{fixation, gaze};
 use photoneye_eye::retina::Retina;
 use photoneye_eye::video::Picture;
 use photoneye_eye::video::reader::{Cones, Seen, Signal, signals};
@@ -54,10 +55,8 @@ impl Figure {
                 FrameCounts::Means(means) => means.into_iter().map(f64::from).collect(),
             });
         }
-        let display = &experiment.display;
-        let frame_s = 1.0 / display.frame_rate_hz;
-        let gaze = Gaze::new(&experiment.gaze, display.distance_cm, experiment.frames, frame_s)
-            .map_err(|e| e.to_string())?;
+        let fixation = fixation(&experiment).map_err(|e| e.to_string())?;
+        let gaze = gaze(&experiment, &fixation).map_err(|e| e.to_string())?;
         Ok(Self { experiment, columns, counts, gaze })
     }
 
