@@ -1,6 +1,6 @@
 //! The cones of a scene as the display sees them: apertures mapped onto the screen, and each cone's own factors.
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 
 use super::bounds;
@@ -122,16 +122,21 @@ impl ConeTable {
         if retina.is_empty() {
             return Ok(Self { cones: Vec::new() });
         }
-        let (min, max) = bounds((0..retina.len()).flat_map(|i| retina.polygon(i)));
+        // Behind a large pupil images are displaced: light of a cone at the edge comes from places beyond the patch.
+        let centre = |i: usize| DVec2::new(retina.x_um[i], retina.y_um[i]);
+        let sources: Vec<(DVec2, DMat2)> =
+            (0..retina.len()).into_par_iter().map(|i| primaries.kernels.source_um(centre(i))).collect();
+        let corners = (0..retina.len()).flat_map(|i| retina.polygon(i));
+        let (min, max) = bounds(corners.chain(sources.iter().map(|(source, _)| *source)));
         let [node_min, node_max] = primaries.kernels.spec().field_um;
         let fit = projection.fit(min.min(node_min), max.max(node_max)).map_err(|e| e.to_string())?;
         let cones = (0..retina.len())
             .into_par_iter()
             .map(|i| {
-                let um = DVec2::new(retina.x_um[i], retina.y_um[i]);
+                let um = centre(i);
                 // Across a cone the maps are straight: at 40° its corners are off by 1e-4 of its width. Its place on the screen is
                 // the one whose light arrives there; pigments are those of its own eccentricity.
-                let (source, slope) = primaries.kernels.source_um(um);
+                let (source, slope) = sources[i];
                 let (tangent, jacobian) = fit.linear(source);
                 let jacobian = jacobian * slope;
                 let ecc_deg = projection.screen().eccentricity_deg(fit.linear(um).0);
