@@ -9,7 +9,7 @@ mod scan;
 mod transfer;
 mod waveform;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 pub use emitter::{Emitter, PhotonSample, emitters, photon_shares, pupil_share, pupil_share_at};
@@ -19,6 +19,7 @@ pub use transfer::{Curve, Transfer};
 pub use waveform::{FORGOTTEN, MAX_HISTORY, Part, Timing, Waveform, light_until};
 
 use crate::experiment::{RangeError, check_range};
+use crate::optics::Screen;
 use crate::spectrum::Spectrum;
 
 /// A display and how it is looked at.
@@ -92,6 +93,20 @@ pub enum EmissionLaw {
     Lambertian,
     /// The same intensity over the half space, `Φ/2π`: the arithmetic of §6.
     Uniform,
+}
+
+impl EmissionLaw {
+    /// Irradiance, across the light, at a corneal apex (over the screen's nominal distance, in the view frame) from the
+    /// point `t` of a screen, over that from a point at the nominal distance that faces it.
+    pub fn irradiance(self, screen: &Screen, t: DVec2, apex: DVec3) -> f64 {
+        let way = apex - screen.way(t);
+        let cosine = way.normalize().dot(screen.normal(t)).max(0.0);
+        let factor = match self {
+            Self::Lambertian => cosine,
+            Self::Uniform => 1.0,
+        };
+        factor / way.length_squared()
+    }
 }
 
 /// Which picture channel drives a primary.

@@ -28,6 +28,7 @@ use super::scene::Scene;
 use super::source::{Source, pixel_transform};
 use super::spectral::ARRIVING;
 use super::spread::{COLUMNS, Spread};
+use super::turned::Turning;
 use crate::display::Emitter;
 use crate::plan::Numerics;
 
@@ -67,6 +68,8 @@ pub struct Expected {
     /// Of isomerizations.
     basis: BasisTable,
     stencils: Stencils,
+    /// How cones see the screen as the eye turns, with what their stencils are made of.
+    turning: Option<(Turning, Spread, ConeTable)>,
     /// By sheet: coefficients of the cones' images, `[cone][image]`, with the cone's own factor in them; 0 for a type that is not computed.
     coefficients: Vec<Vec<f32>>,
     arrived: ConeSum,
@@ -81,7 +84,12 @@ enum Precision {
 
 impl Expected {
     /// Prepares a scene's cones and kernels.
-    pub fn new(scene: &Scene, primaries: &Primaries, cones: &ConeTable, settings: &Numerics) -> Self {
+    pub fn new(
+        scene: &Scene,
+        primaries: &Primaries,
+        (cones, turning): (&ConeTable, Option<Turning>),
+        settings: &Numerics,
+    ) -> Self {
         let Primaries { kernels, projector } = primaries;
         let scene = scene.clone();
         let spread = Spread::new(settings.spread_width, 1.6);
@@ -108,28 +116,51 @@ impl Expected {
         } else {
             Precision::Double(Transforms::new(scene.samples))
         };
-        Self { scene, band, pixels, pictures, transforms, basis, stencils, coefficients, arrived, guided }
-    }
-
-    /// Means of one frame of a source.
-    pub fn frame(&self, source: &Source) -> Means {
-        match &self.transforms {
-            Precision::Single(transforms) => self.frame_in(source, transforms),
-            Precision::Double(transforms) => self.frame_in(source, transforms),
+        let turning = turning.map(|turning| (turning, spread, cones.clone()));
+        Self {
+            scene,
+            band,
+            pixels,
+            pictures,
+            transforms,
+            basis,
+            stencils,
+            turning,
+            coefficients,
+            arrived,
+            guided,
         }
     }
 
-    fn frame_in<T: Real>(&self, source: &Source, transforms: &Transforms<T>) -> Means {
+    /// Means of one frame of a source.
+    pub fn frame(&self, source: &Source, index: u32) -> Means {
+        let Some((turning, spread, cones)) = &self.turning else {
+            return self.frame_by(source, &self.stencils);
+        };
+        let (cones, light) = turning.in_frame(index).cones(cones);
+        let mut means = self.frame_by(source, &Stencils::new(&self.scene, spread, &cones));
+        means.isomerized.iter_mut().zip(light).for_each(|(mean, light)| *mean *= light);
+        means
+    }
+
+    fn frame_by(&self, source: &Source, stencils: &Stencils) -> Means {
+        match &self.transforms {
+            Precision::Single(transforms) => self.frame_in(source, transforms, stencils),
+            Precision::Double(transforms) => self.frame_in(source, transforms, stencils),
+        }
+    }
+
+    fn frame_in<T: Real>(&self, source: &Source, transforms: &Transforms<T>, stencils: &Stencils) -> Means {
         let drive: Vec<Planar<T>> = drive(source, &self.pixels, &self.pictures, (&self.scene, &self.band));
         let (arrived, guided) = (self.arrived.of(&drive), self.guided.of(&drive));
-        let sheets = sheets((&self.band, &self.basis), &drive, transforms, self.stencils.spans(), COLUMNS);
-        let mut values = vec![0.0; self.stencils.len()];
+        let sheets = sheets((&self.band, &self.basis), &drive, transforms, stencils.spans(), COLUMNS);
+        let mut values = vec![0.0; stencils.len()];
         values.par_chunks_mut(CONES).enumerate().for_each(|(part, values)| {
             let cones = part * CONES..part * CONES + values.len();
             for (sheet, coefficients) in sheets.iter().zip(&self.coefficients) {
                 let images = 4 * sheet.fours;
                 let own = &coefficients[cones.start * images..cones.end * images];
-                self.stencils.gather(sheet, cones.clone(), own, values);
+                stencils.gather(sheet, cones.clone(), own, values);
             }
         });
         Means { isomerized: values, arrived, guided, clamped: 0 }

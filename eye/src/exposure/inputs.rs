@@ -6,6 +6,7 @@ use super::pixel_light::FirstShown;
 use super::primaries::Primaries;
 use super::scene::Scene;
 use super::source::Projector;
+use super::turned::Turning;
 use crate::cone::directional::{Pointing, PointingSpec};
 use crate::display::{emitters, pupil_share};
 use crate::experiment::{Experiment, RangeError};
@@ -83,6 +84,20 @@ impl Inputs {
             pointing,
             primaries: Primaries { kernels, projector },
         })
+    }
+}
+
+/// Share of the accuracy target below which what the eye's turn changes inside a tile is left out.
+const TURNING_SHARE: f64 = 0.02;
+
+impl Inputs {
+    /// How the tile's cones see the screen as the eye turns; `None` where that changes nothing that counts.
+    pub fn turning(&self, experiment: &Experiment) -> Option<Turning> {
+        let Projector { display, gaze, .. } = &self.primaries.projector;
+        let of_tile = (gaze, display.emission_law);
+        let frames = [f64::from(experiment.frames), display.frame_rate_hz];
+        let turning = Turning::new(&self.projection, &self.scene, of_tile, frames)?;
+        turning.seen(self.scene.band, TURNING_SHARE * experiment.accuracy_target)
     }
 }
 

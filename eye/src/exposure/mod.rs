@@ -39,6 +39,7 @@ mod spread;
 pub mod stray;
 mod tail;
 pub(crate) mod transfer;
+pub(crate) mod turned;
 
 use std::sync::OnceLock;
 

@@ -102,7 +102,10 @@ impl Prepared {
         let ledger = Ledger::new(inputs, primaries, experiment.gaze.center_px).map_err(model)?;
         let engine = experiment.counts.engine;
         let counter: Box<dyn Counter> = match engine {
-            Engine::Expected => Box::new(Expected::new(scene, primaries, cones, &settings)),
+            Engine::Expected => {
+                let turning = inputs.turning(experiment);
+                Box::new(Expected::new(scene, primaries, (cones, turning), &settings))
+            }
             Engine::Events => Box::new(Events::new(experiment, inputs, primaries, cones).map_err(model)?),
             Engine::Paper => Box::new(Paper::new(experiment, inputs, cones).map_err(model)?),
         };
@@ -136,7 +139,7 @@ impl Prepared {
         expected: &Expected,
         (shown, source): (&Shown, &Source),
     ) -> Means {
-        let mut means = self.image(exposure, expected, source);
+        let mut means = self.image(exposure, expected, (shown.index, source));
         if let Some(tail) = &self.tail {
             tail.correct(&mut means, (shown, source), &self.projector);
         }
@@ -147,19 +150,19 @@ impl Prepared {
         means
     }
 
-    fn image(&self, exposure: &Exposure, expected: &Expected, source: &Source) -> Means {
+    fn image(&self, exposure: &Exposure, expected: &Expected, (index, source): (u32, &Source)) -> Means {
         if Rule::DarkTiles.applies(&exposure.experiment) && source.is_dark() {
             return Means { isomerized: vec![0.0; exposure.len()], arrived: 0.0, guided: 0.0, clamped: 0 };
         }
         if !Rule::RepeatedFrames.applies(&exposure.experiment) {
-            return expected.frame(source);
+            return expected.frame(source, index);
         }
         if let Some((shown, means)) = self.first.get()
             && shown == source
         {
             return means.clone();
         }
-        let means = expected.frame(source);
+        let means = expected.frame(source, index);
         if exposure.experiment.frames > 1 || exposure.experiment.audit_cones > 0 {
             // Whichever frame comes first: means depend on the light alone.
             self.first.get_or_init(|| (source.clone(), means.clone()));

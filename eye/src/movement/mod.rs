@@ -17,6 +17,7 @@ use std::sync::Arc;
 
 use glam::{DQuat, DVec2, DVec3};
 
+use crate::display::EmissionLaw;
 use crate::experiment::{self, Movement, RangeError};
 use crate::optics::Fixation;
 use crate::optics::fixation::listing;
@@ -188,7 +189,7 @@ impl Gaze {
     }
 
     /// Visual angle from the fixated point at a time, radians: the axis of the turn is at right angles to it.
-    fn turn(&self, t_s: f64) -> DVec2 {
+    pub fn turn(&self, t_s: f64) -> DVec2 {
         let mut at = self.base.at(t_s);
         if let Some(tremor) = &self.tremor {
             at += tremor.at(t_s);
@@ -223,16 +224,34 @@ impl Gaze {
     }
 
     /// The same for a turn of the line of sight, radians.
-    fn moved_by(&self, turn: DVec2) -> DVec2 {
+    pub fn moved_by(&self, turn: DVec2) -> DVec2 {
         if turn == DVec2::ZERO {
             return DVec2::ZERO;
         }
-        // The line turns with the eye about the rotation centre; the screen stays.
-        let Fixation { screen, rotation_centre_mm, .. } = &self.fixation;
-        let (centre, turned) = (*rotation_centre_mm / screen.nominal_mm(), self.orientation_at(turn));
+        let [from, along] = self.turned_line(turn);
+        self.fixation.screen.met_by(from, along).map_or(MISSED, |place| place - self.rest)
+    }
+
+    /// The line along which the place is seen when the eye has turned about its rotation centre: where it begins and
+    /// its direction.
+    fn turned_line(&self, turn: DVec2) -> [DVec3; 2] {
+        let turned = self.orientation_at(turn);
         let [point, along] = self.line;
-        let from = centre + turned * (point - along - centre);
-        screen.met_by(from, turned * along).map_or(MISSED, |place| place - self.rest)
+        [self.turned_place(&turned, point - along), turned * along]
+    }
+
+    /// Where a point of the eye is after a turn, over the screen's nominal distance.
+    fn turned_place(&self, turned: &DQuat, place: DVec3) -> DVec3 {
+        let centre = self.fixation.rotation_centre_mm / self.fixation.screen.nominal_mm();
+        centre + *turned * (place - centre)
+    }
+
+    /// Irradiance at the corneal apex from the place on the screen that is seen after a turn (radians), over that at rest.
+    pub fn light(&self, law: EmissionLaw, turn: DVec2) -> f64 {
+        let screen = &self.fixation.screen;
+        let apex = self.turned_place(&self.orientation_at(turn), DVec3::ZERO);
+        let seen = self.rest + self.moved_by(turn);
+        law.irradiance(screen, seen, apex) / law.irradiance(screen, self.rest, DVec3::ZERO)
     }
 
     /// The line of sight on the screen from one time to another as straight lines: times (s) and places (unit tangents).
@@ -269,8 +288,8 @@ impl Gaze {
         })
     }
 
-    /// Turns over the rectangle of all turns.
-    fn rectangle(&self) -> Vec<DVec2> {
+    /// Turns over the rectangle of all turns, radians.
+    pub fn rectangle(&self) -> Vec<DVec2> {
         let ([min, max], part) = (self.turns, |i: u32| f64::from(i) / f64::from(BOUNDS));
         let places = (0..=BOUNDS).flat_map(|i| (0..=BOUNDS).map(move |j| DVec2::new(part(i), part(j))));
         places.map(|place| min + place * (max - min)).collect()

@@ -97,11 +97,17 @@ impl Screen {
     /// Cosine of the angle between the screen's normal and the way to the corneal apex at the point `t`; 0 where
     /// the screen is seen from behind.
     pub fn emission_cosine(&self, t: DVec2) -> f64 {
-        let Some(place) = self.place else { return self.nearness(t).sqrt() };
-        let turn = place.curvature_per_mm * self.nominal_mm * t.x;
-        let (sin, cos) = math::sin_cos(turn);
-        let normal = cos * place.normal() - sin * place.right;
-        (-self.way(t).normalize().dot(normal)).max(0.0)
+        if self.is_frontal() {
+            return self.nearness(t).sqrt();
+        }
+        (-self.way(t).normalize().dot(self.normal(t))).max(0.0)
+    }
+
+    /// The normal at the point `t`, towards the viewer.
+    pub fn normal(&self, t: DVec2) -> DVec3 {
+        let Some(place) = self.place else { return DVec3::Z };
+        let (sin, cos) = math::sin_cos(place.curvature_per_mm * self.nominal_mm * t.x);
+        cos * place.normal() - sin * place.right
     }
 
     /// (D / distance of the point `t` from the corneal apex)².

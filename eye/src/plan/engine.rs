@@ -85,15 +85,15 @@ pub fn automatic(experiment: &Experiment) -> Result<Engine, PlanError> {
     let tiles = planned_tiles(&experiment, &setup, &wavelengths.nodes_nm)?;
     let cones = super::cost::cones_in(&setup);
     let [expected, events] = both(&experiment, &setup, &tiles, cones);
-    let better = events < CLEARLY * expected && drawn_in_target(&experiment)?;
+    let better = events < CLEARLY * expected && drawn_in_target(&experiment, &setup, &tiles)?;
     Ok(if better { Engine::Events } else { Engine::Expected })
 }
 
 /// Whether the means of `events` are as good as an experiment asks for.
-fn drawn_in_target(experiment: &Experiment) -> Result<bool, PlanError> {
+fn drawn_in_target(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile]) -> Result<bool, PlanError> {
     let mut experiment = experiment.clone();
     experiment.counts.engine = Engine::Events;
-    let parts = super::error::drawn(&experiment, &lit_wavelengths(&experiment)?);
+    let parts = super::error::estimate(&experiment, setup, tiles, &lit_wavelengths(&experiment)?);
     Ok(super::error::total(&parts) <= experiment.accuracy_target)
 }
 
@@ -152,7 +152,7 @@ pub(super) fn reason(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTil
     let why = match counts.engine {
         Engine::Paper => "asked for",
         Engine::Expected if !counts.poisson => "means are asked for",
-        Engine::Expected if events < CLEARLY * expected => match drawn_in_target(experiment) {
+        Engine::Expected if events < CLEARLY * expected => match drawn_in_target(experiment, setup, tiles) {
             Ok(true) => "asked for",
             _ => "EVENTS is faster, but not as exact as the target",
         },

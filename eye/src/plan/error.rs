@@ -10,10 +10,11 @@ use super::lit::sparsity;
 use super::setup::{Setup, UM_PER_TANGENT};
 use super::wavelengths::Wavelengths;
 use super::{ErrorPart, Knobs, Numerics, PlanError, PlannedTile};
-use crate::experiment::{Engine, Experiment, Movement, RangeError};
+use crate::experiment::{Engine, Experiment, Movement, Pattern, RangeError, Video};
 use crate::exposure::paper::{snapped_nm, spread::beyond_window};
 use crate::exposure::scene::Scene;
 use crate::exposure::spectral::{Kind, Paths, Share};
+use crate::exposure::turned::Turning;
 use crate::psf::{StilesCrawfordApodization, WavefrontOptions};
 use crate::retina::ConeType;
 
@@ -35,6 +36,11 @@ const BEND: f64 = 1.4e-4;
 /// What it adds per sparsity of the picture above 1, over the bend in a blur: one lit pixel of one line, 3 mm at
 /// 20° 1.2e-3 in all, 6 mm at 20 and 30° 2.2e-3 and 1.1e-2, 8 mm at 20° 7.6e-3.
 const BEND_OF_A_POINT: f64 = 0.4;
+/// Error of means over the relative change of the size on the screen of what a place of the retina sees as the eye
+/// turns, of pictures and of an even one. Squares of one pixel of 2.9 arcmin, 3 mm, a turn of 63 arcmin: gaze 24°
+/// aside 2.6e-3 of a change of 1.7e-2 at the fovea, 2.2e-3 of 1.1e-2 at 8°; an even field 3e-4.
+const TURN: f64 = 0.2;
+const TURN_OF_UNIFORM: f64 = 0.02;
 /// Part of the copies' light that is left in the means after the tail's law is subtracted.
 const COPIES: f64 = 0.05;
 /// How much means move per tolerance of the low-rank basis, whatever the picture: 0.4 to 0.9, ranks are whole numbers.
@@ -118,6 +124,21 @@ fn bend_part(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile]) -> f
     tiles.iter().map(of_tile).fold(0.0, f64::max)
 }
 
+/// The eye's turn before the screen: PSFs keep the size that they have on the screen at rest.
+fn turn_part(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile]) -> f64 {
+    let law = experiment.display.emission_law;
+    let uniform = matches!(experiment.video, Video::Pattern(Pattern::Uniform { .. }));
+    let of_tile = |tile: &PlannedTile| {
+        let Ok(gaze) = setup.gaze_of(&tile.region) else { return 1.0 };
+        let frames = [f64::from(experiment.frames), experiment.display.frame_rate_hz];
+        let Some(turning) = Turning::new(&setup.projection, &tile.scene, (&gaze, law), frames) else {
+            return 0.0;
+        };
+        if uniform { TURN_OF_UNIFORM * turning.stretch() } else { TURN * turning.stretch() }
+    };
+    tiles.iter().map(of_tile).fold(0.0, f64::max).min(1.0)
+}
+
 /// What the frequencies that are left out may change at most; on an evenly lit picture it is a part of it.
 pub fn band_bound(experiment: &Experiment) -> f64 {
     sparse(experiment) * Numerics::new(experiment).band_loss
@@ -148,10 +169,14 @@ pub fn estimate(
     let part = |part: &str, relative: f64| ErrorPart { part: part.into(), relative };
     let numerics = Numerics::new(experiment);
     if experiment.counts.engine == Engine::Events {
-        return drawn(experiment, wavelengths);
+        let mut parts = drawn(experiment, wavelengths);
+        parts.push(part("turn of the eye before the screen", turn_part(experiment, setup, tiles)));
+        return parts;
     }
     if experiment.counts.engine == Engine::Paper {
-        return paper(experiment, tiles, wavelengths);
+        let mut parts = paper(experiment, tiles, wavelengths);
+        parts.push(part("turn of the eye before the screen", turn_part(experiment, setup, tiles)));
+        return parts;
     }
     let limited = tiles.iter().any(|t| t.scene.band < setup.cutoff(experiment));
     let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0);
@@ -171,13 +196,14 @@ pub fn estimate(
         part("period", copies_part(experiment, tiles)),
         part("band limit", if limited { BAND * band_bound(experiment) } else { 1e-7 }),
         part("grid", sparse(experiment) * grid),
+        part("turn of the eye before the screen", turn_part(experiment, setup, tiles)),
         part("time segments", if turns { 0.1 * crate::exposure::SCAN_BLUR } else { 0.0 }),
         part("Poisson draws", 0.0),
     ]
 }
 
 /// The parts of the estimate of the means from which `events` draws.
-pub(super) fn drawn(experiment: &Experiment, wavelengths: &Wavelengths) -> Vec<ErrorPart> {
+fn drawn(experiment: &Experiment, wavelengths: &Wavelengths) -> Vec<ErrorPart> {
     let part = |part: &str, relative: f64| ErrorPart { part: part.into(), relative };
     let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0);
     let steps = if wavelengths.nodes_nm.len() > 1 { (wavelengths.step_nm / 10.0).powi(2) } else { 0.0 };

@@ -3,7 +3,7 @@
 
 use std::f64::consts::PI;
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 
 use super::super::light::{Course, Shown, courses, courses_at, frame_light, light};
@@ -27,6 +27,8 @@ const CORE_UM: f64 = 20.0;
 const AFAR: f64 = 2.5;
 /// Half width of a spot of light that is counted, standard deviations.
 const SPOT: f64 = 5.0;
+/// Step of the derivatives of what the eye's turn changes, units of the screen.
+const BESIDE: f64 = 1e-4;
 
 /// A cone as the mosaic has it.
 pub struct Cone {
@@ -100,10 +102,20 @@ pub fn mean(
     let tangent = optics.projection.screen_tangent(cone.um).map_err(|e| e.to_string())?;
     // The screen moves before this cone as the eye turns, not as the middle of its tile sees it.
     let own_projector;
+    let (mut to_rest, mut brighter) = (DMat2::IDENTITY, 1.0);
     let projector = if projector.gaze.is_still() {
         projector
     } else {
         let gaze = projector.gaze.seen_along(optics.projection.line_to(tangent));
+        let middle_s = (f64::from(shown.index) + 0.5) / display.frame_rate_hz;
+        let turn = gaze.turn(middle_s);
+        // A place beside the cone's moves by more or less: to the screen at rest from the screen that is seen.
+        let beside = |axis: DVec2| {
+            let line = optics.projection.line_to(tangent + BESIDE * axis);
+            axis + (projector.gaze.seen_along(line).moved_by(turn) - gaze.moved_by(turn)) / BESIDE
+        };
+        to_rest = DMat2::from_cols(beside(DVec2::X), beside(DVec2::Y)).inverse();
+        brighter = gaze.light(display.emission_law, turn);
         own_projector = Projector { gaze, ..projector.clone() };
         &own_projector
     };
@@ -120,13 +132,15 @@ pub fn mean(
     let aperture = aperture(&corners, 0.5 * collection.period_um());
     let per_px = display.pixel_pitch_cm / display.distance_cm;
     let centre_px = DVec2::from_array(experiment.gaze.center_px) + flip(tangent) / per_px;
-    let mut sum = Sum { projector, shown, lights, sight, collection, per_px, centre_px, nodes: Vec::new() };
+    let mut sum =
+        Sum { projector, shown, lights, sight, to_rest, collection, per_px, centre_px, nodes: Vec::new() };
     let period_px = sum.collection.period_um() / sum.longer_px_um();
     let of_emitter = |emitter: &Emitter| [period_px, AFAR * period_px].map(|px| pixel_nodes(emitter, px));
     sum.nodes = projector.emitters.iter().map(of_emitter).collect();
     let lit = sum.lit_offsets();
     sum.collection = sum.collection.over(&aperture, lit);
     let mut mean: f64 = (0..projector.emitters.len()).map(|primary| sum.primary(primary)).sum();
+    mean *= brighter;
     if let Some(stray) = experiment.eye.stray_light {
         let scatter = Scatter::new(experiment, stray)?;
         mean *= 1.0 - scatter.fraction();
@@ -155,6 +169,8 @@ struct Sum<'a> {
     lights: &'a Lights,
     /// By primary: where the line of sight is on average, pixels.
     sight: Vec<DVec2>,
+    /// From the screen as it is seen in the middle of the frame to the screen at rest.
+    to_rest: DMat2,
     /// What the cone's aperture counts by the offset of its centre.
     collection: Collection,
     per_px: f64,
@@ -234,7 +250,7 @@ impl Sum<'_> {
 
     /// Share of the photons from a point of the display, as the eye at rest would see it, that the cone counts.
     fn collected(&self, primary: usize, seen_px: DVec2) -> f64 {
-        self.collection.at(primary, flip((seen_px - self.centre_px) * self.per_px))
+        self.collection.at(primary, self.to_rest * flip((seen_px - self.centre_px) * self.per_px))
     }
 
     /// Corners of the rectangle of offsets (unit tangents) of all lit pixels from the cone, however the line of sight moves.

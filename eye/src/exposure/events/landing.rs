@@ -35,6 +35,9 @@ pub(super) struct Patch {
     /// Screen tangent of its corner, and per pixel unit.
     corner: DVec2,
     per_px: DVec2,
+    /// Its middle as it is seen, pixel units from the corner, and how steps about it are stretched.
+    middle_px: DVec2,
+    stretch: DMat2,
     /// Image of the corner and change per pixel unit. `None`: too large, ask the polynomial.
     affine: Option<(DVec2, DMat2)>,
     /// Whether all of it is seen near the cones.
@@ -90,19 +93,26 @@ impl Landing {
         [self.middle - self.half, self.middle + self.half]
     }
 
-    /// The pixel whose top left corner is given, while the line of sight moves within bounds (pixels from the gaze centre).
-    pub(super) fn patch(&self, scene: &Scene, corner_px: DVec2, [low, high]: [DVec2; 2]) -> Patch {
+    /// The pixel whose top left corner is given, while the line of sight moves within bounds (pixels from the gaze centre);
+    /// about its middle it is stretched.
+    pub(super) fn patch(
+        &self,
+        scene: &Scene,
+        (corner_px, stretch): (DVec2, DMat2),
+        [low, high]: [DVec2; 2],
+    ) -> Patch {
         let corner = scene.tangent(corner_px);
         let per_px = scene.tangent(corner_px + 1.0) - corner;
         let middle = corner + per_px * (0.5 - 0.5 * (low + high));
         let reach = (0.5 + 0.5 * (high - low)).length() * scene.tangent_per_px;
         let affine = (reach < AFFINE && self.holds(middle)).then(|| {
-            let jacobian = self.jacobian(middle);
-            (self.um(middle) + jacobian * (corner - middle), jacobian * DMat2::from_diagonal(per_px))
+            let by = self.jacobian(middle) * DMat2::from_diagonal(per_px) * stretch;
+            (self.um(middle) - by * (0.5 - 0.5 * (low + high)), by)
         });
         // A pixel of room for misregistered rectangles and spots.
         let near = self.holds(corner + per_px * (-1.0 - high)) && self.holds(corner + per_px * (2.0 - low));
-        Patch { corner, per_px, affine, near }
+        let middle_px = 0.5 - 0.5 * (low + high);
+        Patch { corner, per_px, middle_px, stretch, affine, near }
     }
 }
 
@@ -115,7 +125,8 @@ impl Patch {
     /// Image of a place (pixel units from the corner) less the line of sight (pixels from the gaze centre), µm; not a number when it
     /// is seen far from all cones.
     pub(super) fn landing(&self, landing: &Landing, from_sight: DVec2) -> DVec2 {
-        let seen = self.corner + self.per_px * from_sight;
+        let stretched = self.middle_px + self.stretch * (from_sight - self.middle_px);
+        let seen = self.corner + self.per_px * stretched;
         if !self.near && !landing.holds(seen) {
             return DVec2::NAN;
         }

@@ -44,8 +44,11 @@ use super::primaries::Primaries;
 use super::scene::Scene;
 use super::source::{Layer, Projector};
 use super::stray::Veil;
+use super::turned::{Seen, Turn, Turning};
+use crate::display::EmissionLaw;
 use crate::experiment::Experiment;
 use crate::exposure::Photon;
+use crate::optics::BeamField;
 use crate::retina::ConeIndex;
 use crate::rng::{Purpose, Stream, mixed};
 use beyond::{Beyond, More};
@@ -75,6 +78,10 @@ pub struct Events {
     /// Light scattered in the eye, and the fraction that is not.
     scattered: Option<Scattered>,
     kept: f64,
+    /// How the cones see the screen as the eye turns.
+    turning: Option<Turning>,
+    beams: BeamField,
+    law: EmissionLaw,
     /// Whether counted photons are listed.
     listed: bool,
 }
@@ -131,6 +138,9 @@ impl Events {
             beyond: Beyond::new(scene, primaries, cones, veil.is_some()),
             scattered: veil.map(|veil| Scattered { veil, seed, ids: ids.clone() }),
             kept,
+            turning: inputs.turning(experiment),
+            beams: inputs.beams.clone(),
+            law,
             listed: experiment.counts.photon_list,
         })
     }
@@ -155,6 +165,7 @@ impl Events {
             .flat_map(|(primary, p)| p.layers.iter().map(move |layer| (primary, layer)))
             .map(|(primary, layer)| (primary, layer, Sight::new(layer, &sight)))
             .collect();
+        let turn = self.turning.as_ref().map(|turning| turning.in_frame(shown.index));
         // Pieces of work are taken as they come: what each draws depends on its own numbers only, and all sums are of whole numbers.
         let blocks = self.blocks().into_iter().product::<usize>();
         let next = AtomicUsize::new(0);
@@ -169,7 +180,8 @@ impl Events {
                         return tally;
                     }
                     let (layer, block) = (number / blocks, number % blocks);
-                    self.piece(shown, projector, &layers[layer], [layer, block], (&mut stage, &mut tally));
+                    let state = (&mut stage, &mut tally);
+                    self.piece((shown, turn.as_ref()), projector, &layers[layer], [layer, block], state);
                 }
             })
             .collect();
@@ -200,6 +212,11 @@ impl Events {
         Ok(Drawn { counts: sum.counts, means, photons: sum.drawn, list })
     }
 
+    /// Light of a place of the window (pixels) that meets the pupil of an eye at rest, relative to the gaze centre.
+    fn entering(&self, px: DVec2) -> f64 {
+        super::cones::entering(self.law, &self.beams, self.scene.tangent(px))
+    }
+
     /// Pixels along the side of a block.
     fn block_px(&self) -> usize {
         ((BLOCK_TANGENT / self.scene.tangent_per_px) as usize).clamp(1, BLOCK)
@@ -213,7 +230,7 @@ impl Events {
     /// All photons of a layer from a block of pixels.
     fn piece(
         &self,
-        shown: &Shown,
+        (shown, turn): (&Shown, Option<&Turn>),
         projector: &Projector,
         (primary, layer, sight): &(usize, &Layer, Sight),
         [number, block]: [usize; 2],
@@ -227,9 +244,18 @@ impl Events {
         let bounds = sight.bounds();
         let block_of_light = Block::new(pixels.filter_map(|[column, row]| {
             let pixel = row * width + column;
-            let light = layer.light[pixel] * layer.photons * self.slant[pixel] * self.kept;
+            let light = layer.light[pixel] * layer.photons * self.kept;
             let corner = DVec2::new(column as f64, row as f64);
-            (light > 0.0).then(|| (light, self.landing.patch(&self.scene, corner, bounds)))
+            if light <= 0.0 {
+                return None;
+            }
+            let (seen, entering) = turn.map_or((Seen::AT_REST, self.slant[pixel]), |turn| {
+                let middle = corner + 0.5 - 0.5 * (bounds[0] + bounds[1]);
+                let seen = turn.seen(middle);
+                (seen, seen.light * self.entering(middle - seen.apart))
+            });
+            let (corner, light) = (corner - seen.apart, light * entering);
+            (light > 0.0).then(|| (light, self.landing.patch(&self.scene, (corner, seen.stretch), bounds)))
         }));
         if block_of_light.is_dark() {
             return;

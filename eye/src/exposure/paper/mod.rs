@@ -32,6 +32,7 @@ use crate::exposure::scene::Scene;
 use crate::exposure::source::Projector;
 use crate::exposure::spectral::{Absorbers, Paths};
 use crate::exposure::stray::Veil;
+use crate::exposure::turned::{Seen, Turn, Turning};
 use crate::optics::{BeamField, Projection};
 use crate::report::PhotonBudget;
 use crate::retina::{ConeIndex, ConeType};
@@ -87,6 +88,9 @@ pub struct Paper {
     /// Cumulative share of each emitter's photons by channel.
     channels: Vec<Vec<f64>>,
     slant: Vec<f64>,
+    /// How the cones see the screen as the eye turns.
+    turning: Option<Turning>,
+    beams: BeamField,
     /// Whether reflections are computed.
     reflects: bool,
     scattered: Option<Scattered>,
@@ -153,6 +157,8 @@ impl Paper {
             optics: Vec::new(),
             channels,
             slant: slants(projector, &inputs.beams, scene),
+            turning: inputs.turning(experiment),
+            beams: inputs.beams.clone(),
             reflects: experiment.eye.reflection_losses,
             scattered: veil.map(|veil| Scattered { veil, ids: retina.id.clone(), throughput }),
         };
@@ -198,6 +204,7 @@ impl Paper {
         let display = &projector.display;
         let layers: Vec<Vec<Course>> =
             projector.emitters.iter().map(|emitter| courses(emitter, display, shown.index)).collect();
+        let turn = self.turning.as_ref().map(|turning| turning.in_frame(shown.index));
         let [width, height] = self.scene.size_px.map(|s| s as usize);
         let chunks: Vec<(usize, usize)> = (0..projector.emitters.len())
             .flat_map(|k| (0..(width * height).div_ceil(CHUNK)).map(move |c| (k, c)))
@@ -215,6 +222,7 @@ impl Paper {
                     ((k as u64) << 40) | chunk as u64,
                 );
                 for pixel in chunk * CHUNK..((chunk + 1) * CHUNK).min(width * height) {
+                    let shown = (shown, turn.as_ref());
                     self.pixel(shown, projector, &layers[k], (k, pixel), &mut stream, &mut tally);
                 }
                 tally
@@ -243,7 +251,7 @@ impl Paper {
     /// All photons of one pixel of the window from one emitter.
     fn pixel(
         &self,
-        shown: &Shown,
+        (shown, turn): (&Shown, Option<&Turn>),
         projector: &Projector,
         courses: &[Course],
         (k, pixel): (usize, usize),
@@ -255,20 +263,31 @@ impl Paper {
         let (column, row) = (pixel % width, pixel / width);
         let at = [self.scene.first_px[0] + column as u32, self.scene.first_px[1] + row as u32];
         let seconds = 1.0 / projector.display.frame_rate_hz;
+        let corner = DVec2::new(column as f64, row as f64);
+        let (seen, entering) = turn.map_or((Seen::AT_REST, self.slant[pixel]), |turn| {
+            let moved = projector.gaze.screen_tangent((f64::from(shown.index) + 0.5) * seconds);
+            let moved_px = DVec2::new(moved.x, -moved.y) / self.scene.tangent_per_px;
+            let middle = corner + 0.5 - moved_px;
+            let seen = turn.seen(middle);
+            let at_rest = self.scene.tangent(middle - seen.apart);
+            let law = projector.display.emission_law;
+            (seen, seen.light * crate::exposure::cones::entering(law, &self.beams, at_rest))
+        });
+        let corner = corner - seen.apart;
         // On a scanned screen each pixel has a time of its own.
         let own = emitter.waveform.scan().map(|scan| {
             courses_at(emitter, &projector.display, shown.index, scan.delay(&projector.display, at))
         });
         for course in own.as_deref().unwrap_or(courses) {
             let light = course.share() * light(&projector.display, emitter, course.shows, shown, at);
-            let mean = light * emitter.emitted() * projector.pupil_share * self.slant[pixel];
+            let mean = light * emitter.emitted() * projector.pupil_share * entering;
             for _ in 0..crate::exposure::poisson::from_stream(stream, mean) as u64 {
-                let place = Self::place(emitter, stream) + DVec2::new(column as f64, row as f64);
+                let place = corner + 0.5 + seen.stretch * (Self::place(emitter, stream) - 0.5);
                 let time = (f64::from(shown.index) + course.time(stream.uniform())) * seconds;
-                let seen = self.scene.tangent(place) - projector.gaze.screen_tangent(time);
+                let lands = self.scene.tangent(place) - projector.gaze.screen_tangent(time);
                 let uniform = stream.uniform();
                 let channel = self.channels[k].partition_point(|c| *c <= uniform).min(CHANNELS - 1);
-                self.photon(seen, channel, stream, tally);
+                self.photon(lands, channel, stream, tally);
             }
         }
     }
