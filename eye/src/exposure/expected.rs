@@ -10,6 +10,9 @@
 //! Per frame one small transform per primary, half an inverse transform of the grid per basis image (those of the rows that cones lie in)
 //! and a sparse gather per cone; independent of luminance.
 
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex};
+
 use glam::DVec2;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
@@ -54,6 +57,8 @@ impl Means {
     }
 }
 
+/// Turns of the eye that are kept: shards of several threads share a scene.
+const KEPT_TURNS: usize = 4;
 /// Cones that are gathered together.
 const CONES: usize = 512;
 
@@ -70,10 +75,18 @@ pub struct Expected {
     stencils: Stencils,
     /// How cones see the screen as the eye turns, with what their stencils are made of.
     turning: Option<(Turning, Spread, ConeTable)>,
+    /// The turns that were seen last, in steps, with the cones' weights and light.
+    turned: Mutex<VecDeque<([i64; 2], Arc<Turned>)>>,
     /// By sheet: coefficients of the cones' images, `[cone][image]`, with the cone's own factor in them; 0 for a type that is not computed.
     coefficients: Vec<Vec<f32>>,
     arrived: ConeSum,
     guided: ConeSum,
+}
+
+/// What the cones see after a turn of the eye.
+struct Turned {
+    stencils: Stencils,
+    light: Vec<f64>,
 }
 
 /// The transforms of images, and the precision of all numbers at the kept frequencies.
@@ -117,6 +130,7 @@ impl Expected {
             Precision::Double(Transforms::new(scene.samples))
         };
         let turning = turning.map(|turning| (turning, spread, cones.clone()));
+        let turned = Mutex::new(VecDeque::new());
         Self {
             scene,
             band,
@@ -126,6 +140,7 @@ impl Expected {
             basis,
             stencils,
             turning,
+            turned,
             coefficients,
             arrived,
             guided,
@@ -137,9 +152,21 @@ impl Expected {
         let Some((turning, spread, cones)) = &self.turning else {
             return self.frame_by(source, &self.stencils);
         };
-        let (cones, light) = turning.in_frame(index).cones(cones);
-        let mut means = self.frame_by(source, &Stencils::new(&self.scene, spread, &cones));
-        means.isomerized.iter_mut().zip(light).for_each(|(mean, light)| *mean *= light);
+        let steps = turning.steps_in_frame(index);
+        let known = |turned: &VecDeque<([i64; 2], Arc<Turned>)>| {
+            turned.iter().find(|(of, _)| *of == steps).map(|(_, turned)| Arc::clone(turned))
+        };
+        let turned = self.turned.lock().ok().and_then(|turned| known(&turned)).unwrap_or_else(|| {
+            let (cones, light) = turning.after_steps(steps).cones(cones);
+            let made = Arc::new(Turned { stencils: Stencils::new(&self.scene, spread, &cones), light });
+            if let Ok(mut kept) = self.turned.lock() {
+                kept.truncate(KEPT_TURNS - 1);
+                kept.push_front((steps, Arc::clone(&made)));
+            }
+            made
+        });
+        let mut means = self.frame_by(source, &turned.stencils);
+        means.isomerized.iter_mut().zip(&turned.light).for_each(|(mean, light)| *mean *= light);
         means
     }
 

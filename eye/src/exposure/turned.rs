@@ -37,6 +37,8 @@ pub struct Turning {
     tangent_per_px: f64,
     frames: u32,
     frame_s: f64,
+    /// Steps of the turn that are not told apart, radians.
+    step: f64,
 }
 
 /// The places of a tile in one frame.
@@ -81,13 +83,17 @@ impl Turning {
         let places = places.map(|(x, y)| at(x, y)).collect();
         let tangent_per_px = scene.tangent_per_px;
         let (frames, frame_s) = (frames as u32, 1.0 / frame_rate_hz);
-        Some(Self { law, middle: middle.clone(), axes, places, tangent_per_px, frames, frame_s })
+        Some(Self { law, middle: middle.clone(), axes, places, tangent_per_px, frames, frame_s, step: 0.0 })
     }
 
     /// The same only where it changes means by more than `tolerance`, of a picture that holds frequencies up to
     /// `band` (cycles per unit of the screen).
-    pub fn seen(self, band: f64, tolerance: f64) -> Option<Self> {
-        (self.effect(band) > tolerance).then_some(self)
+    pub fn seen(mut self, band: f64, tolerance: f64) -> Option<Self> {
+        let effect = self.effect(band);
+        let largest = self.middle.rectangle().iter().map(|turn| turn.length()).fold(0.0, f64::max);
+        // What a turn changes is in proportion to it; half a step along both axes is the farthest.
+        self.step = 2.0_f64.sqrt() * tolerance * largest / effect.max(f64::MIN_POSITIVE);
+        (effect > tolerance).then_some(self)
     }
 
     /// How much means change at most where one movement stands for a whole tile, of a picture that holds frequencies
@@ -121,6 +127,17 @@ impl Turning {
             by_x.length().max(by_y.length())
         };
         cells.map(of_cell).fold(0.0, f64::max)
+    }
+
+    /// The turn in a frame in whole steps that change means by less than the tolerance.
+    pub fn steps_in_frame(&self, index: u32) -> [i64; 2] {
+        let turn = self.middle.turn((f64::from(index) + 0.5) * self.frame_s);
+        (turn / self.step).round().to_array().map(|steps| steps as i64)
+    }
+
+    /// The places after a turn in whole steps.
+    pub fn after_steps(&self, steps: [i64; 2]) -> Turn {
+        self.turned(self.step * DVec2::from_array(steps.map(|n| n as f64)))
     }
 
     /// The places in a frame.
