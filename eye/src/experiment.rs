@@ -13,6 +13,7 @@ use crate::plan::{Knobs, Rule};
 use crate::retina::{
     Aperture, CellWalls, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry, RetinaParams,
 };
+use crate::rng::mixed;
 use crate::video::ClipFormat;
 
 /// Version of the counts that an experiment gives; rises whenever the same experiment gives other counts.
@@ -78,6 +79,9 @@ pub struct Eye {
     pub prescription: Option<Box<Prescription>>,
     /// Whether the eye stays unaccommodated, whatever it looks at.
     pub relaxed: bool,
+    /// Most that it accommodates, dioptres; `None`: what its law allows.
+    #[serde(default)]
+    pub amplitude_d: Option<f64>,
     /// Whether reflections at the surfaces are computed instead of the cornea's flat density.
     pub reflection_losses: bool,
     /// Light scattered in the eye; `None` leaves it out.
@@ -430,6 +434,24 @@ impl Experiment {
         }
     }
 
+    /// Seed of everything random in the counts: photons of other mosaics are others, too.
+    pub fn noise_seed(&self) -> u64 {
+        let mosaic = self.retina.mosaic.as_deref().unwrap_or_default();
+        let of_mosaic = mosaic.bytes().fold(self.retina.seed, |key, byte| mixed(key, u64::from(byte)));
+        mixed(self.counts.seed, of_mosaic)
+    }
+
+    /// A seed that follows from everything but the seeds of counts and movement that are 0: those that were not given.
+    /// It has 53 bits, so that every JSON reader keeps it.
+    ///
+    /// # Errors
+    /// Never for an experiment that was validated.
+    pub fn seed_of_content(&self) -> Result<u64, postcard::Error> {
+        let Digest(bytes) = digest_of("default seed", COUNTS_VERSION, self)?;
+        let [a, b, c, d, e, f, g, h, ..] = bytes;
+        Ok((u64::from_le_bytes([a, b, c, d, e, f, g, h]) >> 11).max(1))
+    }
+
     /// Digest of everything that decides the counts.
     ///
     /// # Errors
@@ -453,6 +475,9 @@ impl Eye {
         check_range("eye.pupil_decentre_mm", self.decentre_mm, 0.0, 1.0)?;
         check_range("eye.focus.distance_cm", self.focus_distance_cm, 10.0, 1e9)?;
         check_range("eye.focus.wavelength_nm", self.focus_wavelength_nm, 390.0, 830.0)?;
+        if let Some(amplitude_d) = self.amplitude_d {
+            check_range("eye.focus.amplitude_d", amplitude_d, 0.0, 20.0)?;
+        }
         check_range("eye.macular_peak_density", self.macular_peak_density, 0.0, 2.0)?;
         check_range("eye.lens_density_scale", self.lens_density_scale, 0.0, 5.0)?;
         check_range("eye.cornea_density_scale", self.cornea_density_scale, 0.0, 5.0)?;

@@ -169,7 +169,11 @@ fn new_job(caller: &Caller, prepared: Prepared, plan_json: String, wish: Wish) -
         tiles: tiles.collect(),
         shards: shards.collect(),
         shard_us: planned.shard_us,
-        goal: Some(Goal { target: accuracy_target, drawn: plan.engine != "EXPECTED" }),
+        goal: Some(Goal {
+            target: accuracy_target,
+            drawn: plan.engine != "EXPECTED",
+            warnings: plan.warnings.clone(),
+        }),
         request: wish.request_id.map(|id| (request_name(caller, &id), digest.clone())),
         experiment_digest: digest,
         tenant: caller.tenant.clone(),

@@ -53,6 +53,20 @@ pub fn plan(plan: &Plan, experiment: &str, cached: impl Fn(&str) -> bool) -> v1:
         predicted_seconds: Some(plan.predicted_seconds),
         predicted_bytes: Some(plan.predicted_bytes),
         error_estimate: parts.collect(),
+        warnings: plan.warnings.clone(),
+        focus: Some(v1::EyeFocus {
+            wanted_d: Some(plan.focus.wanted_d),
+            far_point_d: Some(plan.focus.far_point_d),
+            accommodation_d: Some(plan.focus.accommodation_d),
+            residual_d: Some(plan.focus.residual_d),
+        }),
+        display: Some(v1::DisplaySeen {
+            fixated_cm: Some(plan.display.fixated_cm),
+            turned_deg: Some(plan.display.turned_deg),
+            corners_deg: plan.display.corners_deg.concat(),
+            px_per_deg: plan.display.px_per_deg.to_vec(),
+            px_per_deg_at_edges: plan.display.px_per_deg_at_edges.to_vec(),
+        }),
     }
 }
 

@@ -22,6 +22,9 @@ pub async fn run(context: Context, args: PlanArgs) -> Result<(), Failure> {
     service.close(false).await;
     let reply = reply?;
     let plan = reply.plan.clone().unwrap_or_default();
+    for warning in &plan.warnings {
+        output::note(format_args!("warning: {warning}"));
+    }
     if context.json {
         return output::json(&as_json(&plan, reply.experiment_json())?);
     }
@@ -55,6 +58,8 @@ fn explain(plan: &v1::Plan) -> Vec<String> {
         format!("Frames        {} in {} tile(s)", plan.frames(), plan.tiles()),
         format!("Cones         about {}", summary::number(plan.predicted_cones())),
     ];
+    lines.extend(plan.display.as_ref().map(screen));
+    lines.extend(plan.focus.as_ref().map(focus));
     if let [x0, x1, y0, y1] = plan.region_um[..] {
         lines.push(format!("Patch         {:.0} x {:.0} µm of retina", x1 - x0, y1 - y0));
     }
@@ -82,6 +87,35 @@ fn explain(plan: &v1::Plan) -> Vec<String> {
         plan.predicted_bytes() / 1e6
     ));
     lines
+}
+
+/// Where the display is seen.
+fn screen(seen: &v1::DisplaySeen) -> String {
+    let corner = |corner: &[f64]| match corner {
+        [x, y] => format!("({x:.1}, {y:.1})"),
+        _ => String::new(),
+    };
+    let corners: Vec<String> = seen.corners_deg.chunks(2).map(corner).collect();
+    let [across, down] = seen.px_per_deg[..] else { return String::new() };
+    let [least, most] = seen.px_per_deg_at_edges[..] else { return String::new() };
+    format!(
+        "Screen        fixated {:.1} cm away, the eye turned by {:.1}°; corners at {}°; {across:.1} x {down:.1} pixels per degree \
+         at the gaze, {least:.1} to {most:.1} at the edges",
+        seen.fixated_cm(),
+        seen.turned_deg(),
+        corners.join(" "),
+    )
+}
+
+/// How the eye is focused.
+fn focus(focus: &v1::EyeFocus) -> String {
+    format!(
+        "Focus         object at {:.2} D, far point of the eye {:.2} D, accommodation {:.2} D, {:.2} D out of focus",
+        focus.wanted_d(),
+        focus.far_point_d(),
+        focus.accommodation_d(),
+        focus.residual_d().abs(),
+    )
 }
 
 /// One line a kind of artifact.

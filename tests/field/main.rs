@@ -3,9 +3,13 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 mod counts;
+mod dark;
+mod focus;
 mod gaze;
 mod geometry;
 mod luminance;
+mod noise;
+mod pictures;
 #[path = "../e2e/support.rs"]
 #[allow(dead_code, reason = "shared with the end-to-end tests")]
 mod support;

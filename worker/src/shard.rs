@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use photoneye_eye::exposure::{AuditSample, Frame, FrameCounts};
+use photoneye_eye::exposure::{AuditSample, Frame, FrameCounts, Memo};
 use photoneye_eye::report::WorkReport;
 use photoneye_eye::video::Picture;
 use photoneye_proto::v1;
@@ -47,6 +47,7 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
     };
     let mut pictures = Pictures::default();
     let mut sending = Sending::default();
+    let mut memo = Memo::default();
     for done in 0..shard.frame_count() {
         // Between frames: is the answer still wanted?
         lease.check()?;
@@ -63,7 +64,10 @@ pub(crate) async fn run(shared: &Arc<Shared>, lease: &Lease, shard: v1::Shard) -
         let (started, cpu) = (Instant::now(), shared.cpu.begin());
         let (tile, first_cone, counted) = (shard.tile(), shard.first_cone(), Arc::clone(&scene));
         let pictures_shown = shown.clone();
-        let chunk = blocking(move || count(&counted, index, &pictures_shown, tile, first_cone)).await?;
+        let kept = std::mem::take(&mut memo);
+        let counting = move || count(&counted, (index, &pictures_shown), (tile, first_cone), kept);
+        let chunk;
+        (chunk, memo) = blocking(counting).await?;
         stage(&mut report, "count", started, cpu);
 
         // Compute a few cones again, when this frame is among those that are audited.
@@ -148,14 +152,14 @@ impl Sending {
 /// Runs on a blocking thread: counts one frame and encodes it.
 fn count(
     scene: &Scene,
-    index: u32,
-    shown: &[Arc<Picture>],
-    tile: u32,
-    first_cone: u64,
-) -> Result<Chunk, WorkError> {
+    (index, shown): (u32, &[Arc<Picture>]),
+    (tile, first_cone): (u32, u64),
+    mut memo: Memo,
+) -> Result<(Chunk, Memo), WorkError> {
     let pictures: Vec<&Picture> = shown.iter().map(AsRef::as_ref).collect();
     let earlier = pictures.get(1..).unwrap_or_default();
-    let frame = scene.exposure.frame_after(index, pictures.first().copied(), earlier).map_err(model_error)?;
+    let shown = (pictures.first().copied(), earlier);
+    let frame = scene.exposure.frame_going_on(index, shown, &mut memo).map_err(model_error)?;
     let counts = match &frame.counts {
         FrameCounts::Counts(counts) => Counts::U32(counts),
         FrameCounts::Means(means) => Counts::F32(means),
@@ -169,7 +173,7 @@ fn count(
             cone: list.iter().map(|photon| ids[photon.cone as usize]).collect(),
         })?);
     }
-    Ok(Chunk { bytes, summary: summarize(&frame.counts, &scene.cone_types), frame })
+    Ok((Chunk { bytes, summary: summarize(&frame.counts, &scene.cone_types), frame }, memo))
 }
 
 fn summarize(counts: &FrameCounts, cone_types: &[u8]) -> Summary {

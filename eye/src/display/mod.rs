@@ -120,6 +120,8 @@ pub enum Channel {
     Blue,
     /// The mean light of the three.
     White,
+    /// The least light of the three.
+    Least,
     /// Nothing: light that the screen reflects, always on.
     Room,
 }
@@ -131,7 +133,7 @@ impl Channel {
             Self::Red => Some(0),
             Self::Green => Some(1),
             Self::Blue => Some(2),
-            Self::White | Self::Room => None,
+            Self::White | Self::Least | Self::Room => None,
         }
     }
 }
@@ -288,7 +290,11 @@ impl Display {
             one(1, &mut green);
             one(2, &mut blue);
             for ((light, green), blue) in light.iter_mut().zip(green).zip(blue) {
-                *light = (*light + green + blue) / 3.0;
+                *light = if channel == Channel::Least {
+                    light.min(green).min(blue)
+                } else {
+                    (*light + green + blue) / 3.0
+                };
             }
         }
         for light in light {
@@ -317,6 +323,7 @@ impl Display {
             Channel::Green => light(1),
             Channel::Blue => light(2),
             Channel::White => (light(0) + light(1) + light(2)) / 3.0,
+            Channel::Least => light(0).min(light(1)).min(light(2)),
             Channel::Room => 0.0,
         }
     }

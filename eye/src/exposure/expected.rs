@@ -10,8 +10,7 @@
 //! Per frame one small transform per primary, half an inverse transform of the grid per basis image (those of the rows that cones lie in)
 //! and a sparse gather per cone; independent of luminance.
 
-use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -57,8 +56,6 @@ impl Means {
     }
 }
 
-/// Turns of the eye that are kept: shards of several threads share a scene.
-const KEPT_TURNS: usize = 4;
 /// Cones that are gathered together.
 const CONES: usize = 512;
 
@@ -75,13 +72,16 @@ pub struct Expected {
     stencils: Stencils,
     /// How cones see the screen as the eye turns, with what their stencils are made of.
     turning: Option<(Turning, Spread, ConeTable)>,
-    /// The turns that were seen last, in steps, with the cones' weights and light.
-    turned: Mutex<VecDeque<([i64; 2], Arc<Turned>)>>,
     /// By sheet: coefficients of the cones' images, `[cone][image]`, with the cone's own factor in them; 0 for a type that is not computed.
     coefficients: Vec<Vec<f32>>,
     arrived: ConeSum,
     guided: ConeSum,
 }
+
+/// What is kept from one frame of a scene to the next: how the cones see the screen after the last turn of the eye, in steps.
+/// Whatever is in it, frames are the same.
+#[derive(Clone, Default)]
+pub struct Memo(Option<([i64; 2], Arc<Turned>)>);
 
 /// What the cones see after a turn of the eye.
 struct Turned {
@@ -130,7 +130,6 @@ impl Expected {
             Precision::Double(Transforms::new(scene.samples))
         };
         let turning = turning.map(|turning| (turning, spread, cones.clone()));
-        let turned = Mutex::new(VecDeque::new());
         Self {
             scene,
             band,
@@ -140,7 +139,6 @@ impl Expected {
             basis,
             stencils,
             turning,
-            turned,
             coefficients,
             arrived,
             guided,
@@ -148,23 +146,20 @@ impl Expected {
     }
 
     /// Means of one frame of a source.
-    pub fn frame(&self, source: &Source, index: u32) -> Means {
+    pub fn frame(&self, source: &Source, index: u32, memo: &mut Memo) -> Means {
         let Some((turning, spread, cones)) = &self.turning else {
             return self.frame_by(source, &self.stencils);
         };
         let steps = turning.steps_in_frame(index);
-        let known = |turned: &VecDeque<([i64; 2], Arc<Turned>)>| {
-            turned.iter().find(|(of, _)| *of == steps).map(|(_, turned)| Arc::clone(turned))
-        };
-        let turned = self.turned.lock().ok().and_then(|turned| known(&turned)).unwrap_or_else(|| {
-            let (cones, light) = turning.after_steps(steps).cones(cones);
-            let made = Arc::new(Turned { stencils: Stencils::new(&self.scene, spread, &cones), light });
-            if let Ok(mut kept) = self.turned.lock() {
-                kept.truncate(KEPT_TURNS - 1);
-                kept.push_front((steps, Arc::clone(&made)));
-            }
-            made
-        });
+        let last = memo.0.take().filter(|(of, _)| *of == steps);
+        let turned = last.map_or_else(
+            || {
+                let (cones, light) = turning.after_steps(steps).cones(cones);
+                Arc::new(Turned { stencils: Stencils::new(&self.scene, spread, &cones), light })
+            },
+            |(_, turned)| turned,
+        );
+        memo.0 = Some((steps, Arc::clone(&turned)));
         let mut means = self.frame_by(source, &turned.stencils);
         means.isomerized.iter_mut().zip(&turned.light).for_each(|(mean, light)| *mean *= light);
         means

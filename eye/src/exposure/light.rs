@@ -184,6 +184,7 @@ fn bit_light(display: &Display, channel: Channel, rgb: &[f32], place: Place, bit
         Channel::Green => one(1),
         Channel::Blue => one(2),
         Channel::White => (one(0) + one(1) + one(2)) / 3.0,
+        Channel::Least => one(0).min(one(1)).min(one(2)),
         Channel::Room => 0.0,
     }
 }
@@ -376,7 +377,8 @@ mod tests {
             Levels::Values { bits: 6, dither: true },
             Levels::Planes { bits: 5, dither: false },
         ];
-        let channels = [Channel::Red, Channel::Green, Channel::Blue, Channel::White, Channel::Room];
+        let channels =
+            [Channel::Red, Channel::Green, Channel::Blue, Channel::White, Channel::Least, Channel::Room];
         for (levels, lag_ms) in levels.into_iter().flat_map(|l| [(l, 0.0), (l, 4.0)]) {
             let display = Display { panel: Panel { lag_ms, levels }, ..Display::for_test() };
             for channel in channels {

@@ -48,6 +48,7 @@ use glam::DVec2;
 pub use audit::AuditSample;
 pub use cones::{ConeColumns, cone_columns};
 pub(crate) use events::NODE_UM as EVENTS_NODE_UM;
+pub use expected::Memo;
 pub use kernel::{KernelSpec, Kernels, TABLE_TOLERANCE};
 pub use kernel_build::BLOCK as TRANSFER_BLOCK;
 pub use polar::PolarShape;
@@ -232,8 +233,21 @@ impl Exposure {
         picture: Option<&Picture>,
         earlier: &[&Picture],
     ) -> Result<Frame, ExposureError> {
+        self.frame_going_on(index, (picture, earlier), &mut Memo::default())
+    }
+
+    /// As [`Exposure::frame_after`], with what was kept from the frame before: faster where the eye moves.
+    ///
+    /// # Errors
+    /// As [`Exposure::frame_after`].
+    pub fn frame_going_on(
+        &self,
+        index: u32,
+        (picture, earlier): (Option<&Picture>, &[&Picture]),
+        memo: &mut Memo,
+    ) -> Result<Frame, ExposureError> {
         let shown = self.shown(index, picture, earlier)?;
-        self.prepared(&shown)?.frame(self, &shown)
+        self.prepared(&shown)?.frame(self, &shown, memo)
     }
 
     /// What is shown, every picture of the display's size.

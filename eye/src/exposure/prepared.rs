@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::budget::Ledger;
 use super::cones::ConeTable;
 use super::events::Events;
-use super::expected::{Expected, Means};
+use super::expected::{Expected, Means, Memo};
 use super::inputs::Inputs;
 use super::light::Shown;
 use super::paper::Paper;
@@ -23,16 +23,28 @@ use crate::report::PhotonBudget;
 /// An engine: how the photons of a prepared scene are counted.
 trait Counter: Send + Sync {
     /// Counts one frame.
-    fn frame(&self, prepared: &Prepared, exposure: &Exposure, shown: &Shown) -> Result<Frame, ExposureError>;
+    fn frame(
+        &self,
+        prepared: &Prepared,
+        exposure: &Exposure,
+        shown: &Shown,
+        memo: &mut Memo,
+    ) -> Result<Frame, ExposureError>;
 
     /// The means by cone, light only, that the counts of a frame are drawn from; `None` where they are not known.
     fn means(&self, prepared: &Prepared, exposure: &Exposure, shown: &Shown) -> Option<Vec<f64>>;
 }
 
 impl Counter for Expected {
-    fn frame(&self, prepared: &Prepared, exposure: &Exposure, shown: &Shown) -> Result<Frame, ExposureError> {
+    fn frame(
+        &self,
+        prepared: &Prepared,
+        exposure: &Exposure,
+        shown: &Shown,
+        memo: &mut Memo,
+    ) -> Result<Frame, ExposureError> {
         let source = prepared.projector.frame(shown, &exposure.inputs.scene);
-        let means = prepared.expected_means(exposure, self, (shown, &source));
+        let means = prepared.expected_means(exposure, self, (shown, &source), memo);
         if exposure.experiment.counts.poisson {
             fits(&means.isomerized, exposure.dark())?;
         }
@@ -41,12 +53,18 @@ impl Counter for Expected {
 
     fn means(&self, prepared: &Prepared, exposure: &Exposure, shown: &Shown) -> Option<Vec<f64>> {
         let source = prepared.projector.frame(shown, &exposure.inputs.scene);
-        Some(prepared.expected_means(exposure, self, (shown, &source)).isomerized)
+        Some(prepared.expected_means(exposure, self, (shown, &source), &mut Memo::default()).isomerized)
     }
 }
 
 impl Counter for Events {
-    fn frame(&self, prepared: &Prepared, exposure: &Exposure, shown: &Shown) -> Result<Frame, ExposureError> {
+    fn frame(
+        &self,
+        prepared: &Prepared,
+        exposure: &Exposure,
+        shown: &Shown,
+        _: &mut Memo,
+    ) -> Result<Frame, ExposureError> {
         let drawn = Self::frame(self, shown, &prepared.projector).map_err(ExposureError::Model)?;
         let cones = &exposure.cones;
         let budget = prepared.ledger.budget(&prepared.projector, (shown, None), cones, &drawn.means);
@@ -61,7 +79,13 @@ impl Counter for Events {
 }
 
 impl Counter for Paper {
-    fn frame(&self, prepared: &Prepared, exposure: &Exposure, shown: &Shown) -> Result<Frame, ExposureError> {
+    fn frame(
+        &self,
+        prepared: &Prepared,
+        exposure: &Exposure,
+        shown: &Shown,
+        _: &mut Memo,
+    ) -> Result<Frame, ExposureError> {
         let (counts, fates) = Self::frame(self, shown, &prepared.projector);
         Ok(drawn_frame(exposure, shown.index, counts, fates))
     }
@@ -123,8 +147,8 @@ impl Prepared {
     ///
     /// # Errors
     /// What the engine refuses.
-    pub fn frame(&self, exposure: &Exposure, shown: &Shown) -> Result<Frame, ExposureError> {
-        self.counter.frame(self, exposure, shown)
+    pub fn frame(&self, exposure: &Exposure, shown: &Shown, memo: &mut Memo) -> Result<Frame, ExposureError> {
+        self.counter.frame(self, exposure, shown, memo)
     }
 
     /// The means by cone, light only, that the counts of a frame are drawn from; `None` where they are not known.
@@ -138,8 +162,9 @@ impl Prepared {
         exposure: &Exposure,
         expected: &Expected,
         (shown, source): (&Shown, &Source),
+        memo: &mut Memo,
     ) -> Means {
-        let mut means = self.image(exposure, expected, (shown.index, source));
+        let mut means = self.image(exposure, expected, (shown.index, source), memo);
         if let Some(tail) = &self.tail {
             tail.correct(&mut means, (shown, source), &self.projector);
         }
@@ -150,19 +175,25 @@ impl Prepared {
         means
     }
 
-    fn image(&self, exposure: &Exposure, expected: &Expected, (index, source): (u32, &Source)) -> Means {
+    fn image(
+        &self,
+        exposure: &Exposure,
+        expected: &Expected,
+        (index, source): (u32, &Source),
+        memo: &mut Memo,
+    ) -> Means {
         if Rule::DarkTiles.applies(&exposure.experiment) && source.is_dark() {
             return Means { isomerized: vec![0.0; exposure.len()], arrived: 0.0, guided: 0.0, clamped: 0 };
         }
         if !Rule::RepeatedFrames.applies(&exposure.experiment) {
-            return expected.frame(source, index);
+            return expected.frame(source, index, memo);
         }
         if let Some((shown, means)) = self.first.get()
             && shown == source
         {
             return means.clone();
         }
-        let means = expected.frame(source, index);
+        let means = expected.frame(source, index, memo);
         if exposure.experiment.frames > 1 || exposure.experiment.audit_cones > 0 {
             // Whichever frame comes first: means depend on the light alone.
             self.first.get_or_init(|| (source.clone(), means.clone()));
@@ -180,7 +211,7 @@ impl Prepared {
         let dark = exposure.dark();
         budget.dark = dark * exposure.inputs.retina.len() as f64;
         let counts = if exposure.experiment.counts.poisson {
-            let seed = exposure.experiment.counts.seed;
+            let seed = exposure.experiment.noise_seed();
             let draw = |(mean, id): (&f64, &u64)| poisson::draw(seed, shown.index, *id, *mean + dark);
             FrameCounts::Counts(
                 means
@@ -215,7 +246,7 @@ fn fits(means: &[f64], dark: f64) -> Result<(), ExposureError> {
 fn drawn_frame(exposure: &Exposure, index: u32, mut counts: Vec<u32>, mut budget: PhotonBudget) -> Frame {
     let dark = exposure.dark();
     if dark > 0.0 {
-        let seed = exposure.experiment.counts.seed;
+        let seed = exposure.experiment.noise_seed();
         for (count, id) in counts.iter_mut().zip(&exposure.inputs.retina.id) {
             *count = count.saturating_add(poisson::draw(seed, index, *id, dark));
         }

@@ -162,6 +162,41 @@ impl SchematicEye {
         })
     }
 
+    /// The nominal accommodation of an eye that looks at an object at a distance (mm) and a wavelength (nm): between none
+    /// and its amplitude (D; `None`: what its law allows). Nothing lets an eye see sharply beyond its far point.
+    ///
+    /// # Errors
+    /// As [`SchematicEye::accommodation_for`]; an object nearer than the law reaches.
+    pub fn accommodated(
+        p: &Prescription,
+        state_without_a: &EyeState,
+        (distance_mm, wavelength_nm): (f64, f64),
+        amplitude_d: Option<f64>,
+    ) -> Result<f64, OpticsError> {
+        let needed = Self::accommodation_for(p, state_without_a, distance_mm, wavelength_nm);
+        if amplitude_d.is_none()
+            && let Ok(a) = needed
+        {
+            return Ok(a.max(0.0));
+        }
+        if matches!(needed, Err(OpticsError::CannotFocus { .. })) {
+            return needed;
+        }
+        // Beyond the far point the eye rests; nearer than the amplitude allows it does what it can.
+        let relaxed = Self::new(p, &EyeState { accommodation_a: 0.0, ..*state_without_a })?;
+        let far_point_d = relaxed.focus_vergence_d(wavelength_nm)?;
+        let wanted_d = 1e3 / distance_mm;
+        if wanted_d <= far_point_d {
+            return Ok(0.0);
+        }
+        let Some(amplitude_d) = amplitude_d else { return needed };
+        let reached_d = (far_point_d + amplitude_d).min(wanted_d);
+        if reached_d <= 0.0 {
+            return Ok(0.0);
+        }
+        Ok(Self::accommodation_for(p, state_without_a, 1e3 / reached_d, wavelength_nm)?.max(0.0))
+    }
+
     /// Vergence (D; 0 infinity, 2 an object 500 mm from the corneal apex, negative beyond infinity) of the foveal object
     /// that this eye, as it is accommodated, has in best focus at a vacuum wavelength: least tilt-removed wavefront error.
     ///

@@ -1,9 +1,11 @@
 //! What is known of a video before anything is computed: which primaries it lights at all, and how much of the screen. Of drawn patterns; an
 //! uploaded clip may light all primaries and is taken as evenly lit.
 
+use glam::DVec2;
+
 use super::Rule;
 use crate::display::{Channel, Place, emitters};
-use crate::experiment::{Experiment, Video};
+use crate::experiment::{Experiment, Pattern, Video};
 use crate::exposure::joins;
 use crate::exposure::primaries::groups;
 use crate::spectrum::Spectrum;
@@ -35,12 +37,45 @@ pub fn primaries(experiment: &Experiment) -> Vec<bool> {
                 Channel::Red => rgb[0] > 0.0,
                 Channel::Green => rgb[1] > 0.0,
                 Channel::Blue => rgb[2] > 0.0,
+                Channel::Least => rgb.iter().all(|v| *v > 0.0),
                 Channel::White | Channel::Room => rgb.iter().any(|v| *v > 0.0),
             })
             || display.driven(channel, &[0.0; 3], place) > 0.0
     };
     let lit: Vec<bool> = display.primaries.iter().map(|p| lights(p.channel)).collect();
     if lit.contains(&true) { lit } else { all }
+}
+
+/// Least and most of the lit pixels' edges, pixels of the display; `None` when nothing is lit. The whole display where the
+/// picture is not looked at.
+pub fn bounds_px(experiment: &Experiment) -> Option<[DVec2; 2]> {
+    let display = &experiment.display;
+    let size = DVec2::new(f64::from(display.width_px), f64::from(display.height_px));
+    let whole = Some([DVec2::ZERO, size]);
+    let is_dark = |channel| display.driven(channel, &[0.0; 3], Place { column: 0, row: 0, frame: 0 }) <= 0.0;
+    let black = display.black <= 0.0 && display.primaries.iter().all(|p| is_dark(p.channel));
+    let Video::Pattern(pattern) = &experiment.video else { return whole };
+    let Ok(view) = ScreenView::of(experiment) else { return whole };
+    if !black || size.x * size.y > MOST_PIXELS as f64 * 10.0 {
+        return whole;
+    }
+    if display.primaries.iter().any(|p| p.channel == Channel::Room && p.power > 0.0) {
+        return whole;
+    }
+    if let Pattern::Point { at_px: [x, y], rgb } = pattern {
+        let at = DVec2::new(f64::from(*x), f64::from(*y));
+        return rgb.iter().any(|v| *v > 0.0).then_some([at, at + 1.0]);
+    }
+    let picture = draw(pattern, &view);
+    let lit = picture.rgb.chunks_exact(3).enumerate().filter(|(_, rgb)| rgb.iter().any(|v| *v > 0.0));
+    lit.map(|(pixel, _)| {
+        let at = [pixel as u32 % display.width_px, pixel as u32 / display.width_px];
+        DVec2::from(at.map(f64::from))
+    })
+    .fold(None, |found, at| {
+        let [min, max] = found.unwrap_or([at, at + 1.0]);
+        Some([min.min(at), max.max(at + 1.0)])
+    })
 }
 
 /// Primaries that `expected` computes: fewer than there are where a drawn pattern is gray. What an uploaded clip shows is not known yet.

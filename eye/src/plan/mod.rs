@@ -10,6 +10,7 @@ mod lit;
 mod numerics;
 mod omissions;
 mod rules;
+pub mod seen;
 pub mod setup;
 mod wavelengths;
 
@@ -35,7 +36,8 @@ use crate::retina::{RegionUm, tiles_for};
 pub use cost::{Machine, Stages};
 pub use numerics::{Knobs, Numerics};
 pub use rules::Rule;
-use setup::Setup;
+pub use seen::DisplaySeen;
+use setup::{Focused, Setup};
 
 /// What will be computed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,6 +76,15 @@ pub struct Plan {
     pub predicted_bytes: f64,
     /// What the settings were chosen for: relative error of the mean per cone (L1 over cones), with its parts.
     pub error_estimate: Vec<ErrorPart>,
+    /// Where the display is seen.
+    #[serde(default)]
+    pub display: DisplaySeen,
+    /// How the eye is focused.
+    #[serde(default)]
+    pub focus: Focused,
+    /// What the experiment is probably not meant to be.
+    #[serde(default)]
+    pub warnings: Vec<String>,
 }
 
 /// One part of the error estimate.
@@ -165,6 +176,9 @@ pub fn plan_on(experiment: &Experiment, machine: &Machine) -> Result<Plan, PlanE
     engine::check_list(experiment, &tiles)?;
     largest::check(experiment, &setup)?;
     let engine_reason = engine::reason(experiment, &setup, &tiles, cost.cones);
+    let focus = setup::focused(experiment)?;
+    let mut warnings = seen::warnings(experiment, &setup, &tiles);
+    warnings.extend(seen::blur_warning(experiment, &focus));
     let count = tiles.len() as u32;
     let (artifacts, tile_artifacts) = artifacts(&setup, tiles, &cost)?;
     let frames = (0..experiment.frames)
@@ -195,6 +209,9 @@ pub fn plan_on(experiment: &Experiment, machine: &Machine) -> Result<Plan, PlanE
         predicted_stages: cost.stages,
         predicted_bytes: cost.bytes,
         error_estimate,
+        display: seen::display_seen(experiment)?,
+        focus,
+        warnings,
         wavelengths_nm: wavelengths.nodes_nm,
     })
 }

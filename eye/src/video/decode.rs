@@ -47,22 +47,54 @@ fn reader(bytes: &[u8], limits: Limits) -> Result<png::Reader<Cursor<&[u8]>>, De
     if header.width > limits.side_px || header.height > limits.side_px {
         return Err(DecodeError::TooLarge(header.width, header.height, limits.side_px));
     }
-    decoder.read_info().map_err(|e| png_error(e.to_string()))
+    let reader = decoder.read_info().map_err(|e| png_error(e.to_string()))?;
+    if let Some(animation) = reader.info().animation_control {
+        let why =
+            format!("it holds an animation of {} pictures; give each frame a file", animation.num_frames);
+        return Err(DecodeError::Unstated(why));
+    }
+    if let Some(turned) =
+        reader.info().exif_metadata.as_deref().and_then(orientation).filter(|turned| *turned != 1)
+    {
+        let why = format!("its EXIF orientation is {turned}, allowed is 1; turn the picture itself");
+        return Err(DecodeError::Unstated(why));
+    }
+    Ok(reader)
 }
 
-/// Width and height from the header alone.
+/// The orientation tag (0x0112) of EXIF data, a TIFF structure.
+fn orientation(exif: &[u8]) -> Option<u16> {
+    let little = exif.starts_with(b"II");
+    let number = |at: usize, bytes: usize| -> Option<usize> {
+        let digits = exif.get(at..at + bytes)?;
+        let value = |sum: usize, byte: &u8| sum << 8 | usize::from(*byte);
+        Some(if little { digits.iter().rev().fold(0, value) } else { digits.iter().fold(0, value) })
+    };
+    let first = number(4, 4)?;
+    let entries = number(first, 2)?;
+    let mut tags = (0..entries.min(512)).map(|i| first + 2 + 12 * i);
+    let tag = tags.find(|at| number(*at, 2) == Some(0x0112))?;
+    number(tag + 8, 2).and_then(|value| u16::try_from(value).ok())
+}
+
+/// Width and height; of a file that may hold transparent pixels all of them are looked at, else the header alone.
 ///
 /// # Errors
-/// When the bytes are not a PNG file or it is larger than the limits.
+/// When the bytes are not a PNG file, it is larger than the limits, or as [`decode_png`].
 pub fn png_size(bytes: &[u8], limits: Limits) -> Result<(u32, u32), DecodeError> {
     let reader = reader(bytes, limits)?;
-    Ok((reader.info().width, reader.info().height))
+    let size = (reader.info().width, reader.info().height);
+    if matches!(reader.output_color_type().0, png::ColorType::GrayscaleAlpha | png::ColorType::Rgba) {
+        decode_png(bytes, limits)?;
+    }
+    Ok(size)
 }
 
-/// Decodes an 8 or 16 bit grey, colour or palette PNG; transparency is laid over black.
+/// Decodes an 8 or 16 bit grey, colour or palette PNG. Nothing is guessed: one picture, upright and opaque.
 ///
 /// # Errors
-/// When the bytes are not a PNG file, are damaged, or exceed the limits.
+/// When the bytes are not a PNG file, are damaged, exceed the limits, or hold an animation, an EXIF orientation or
+/// a pixel that is not opaque.
 pub fn decode_png(bytes: &[u8], limits: Limits) -> Result<Picture, DecodeError> {
     let mut reader = reader(bytes, limits)?;
     let size = reader.output_buffer_size().ok_or_else(|| png_error("the size overflows".into()))?;
@@ -80,14 +112,22 @@ pub fn decode_png(bytes: &[u8], limits: Limits) -> Result<Picture, DecodeError> 
         depth => return Err(png_error(format!("unexpected depth {depth:?}"))),
     };
     let mut rgb = Vec::with_capacity(3 * info.width as usize * info.height as usize);
-    for pixel in values.chunks_exact(channels) {
+    for (number, pixel) in values.chunks_exact(channels).enumerate() {
         let (colour, alpha) = match channels {
             1 => ([pixel[0]; 3], 1.0),
             2 => ([pixel[0]; 3], pixel[1]),
             3 => ([pixel[0], pixel[1], pixel[2]], 1.0),
             _ => ([pixel[0], pixel[1], pixel[2]], pixel[3]),
         };
-        rgb.extend(colour.map(|v| v * alpha));
+        if alpha < 1.0 {
+            let [column, row] = [number as u32 % info.width, number as u32 / info.width];
+            let why = format!(
+                "pixel [{column}, {row}] is transparent (alpha {alpha:.3}), allowed are opaque pictures; flatten it over what \
+                 is to be seen behind"
+            );
+            return Err(DecodeError::Unstated(why));
+        }
+        rgb.extend(colour);
     }
     Ok(Picture { width: info.width, height: info.height, rgb })
 }

@@ -59,6 +59,18 @@ impl<'a> ScreenView<'a> {
         [self.deg_per_px.x_axis, self.deg_per_px.y_axis].map(DVec2::length)
     }
 
+    /// Degrees that a pixel at a place (pixels) subtends along its row and its column.
+    pub fn pixel_deg_at(&self, px: DVec2) -> [f64; 2] {
+        let per_px = self.display.pixel_pitch_cm / self.display.distance_cm;
+        let from_gaze = px - self.gaze_px;
+        let way =
+            |step: DVec2| self.screen.way(per_px * DVec2::new(from_gaze.x + step.x, -(from_gaze.y + step.y)));
+        [DVec2::X, DVec2::Y].map(|axis| {
+            let (a, b) = (way(-0.5 * axis), way(0.5 * axis));
+            a.cross(b).length().atan2(a.dot(b)).to_degrees()
+        })
+    }
+
     /// Pixels along a column that an arcminute is high at the gaze centre.
     pub fn px_per_arcmin(&self) -> f64 {
         if self.screen.is_frontal() {

@@ -58,6 +58,7 @@ pub fn figure_12(pattern: Pattern) -> Experiment {
             pointing_law: PointingLaw::Population,
             prescription: None,
             relaxed: false,
+            amplitude_d: None,
             reflection_losses: false,
             stray_light: None,
         },

@@ -44,12 +44,15 @@ impl JobState {
 }
 
 /// By what a job's audit is judged.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Goal {
     /// `accuracy.target`: relative error of the mean per cone, L1 over cones.
     pub target: f64,
     /// Whether values of the engine are counts and not means.
     pub drawn: bool,
+    /// What the plan warned of.
+    #[serde(default)]
+    pub warnings: Vec<String>,
 }
 
 /// A job.
@@ -368,10 +371,11 @@ impl Job {
         samples
     }
 
-    /// What the audit of a finished job warns of; all shards have to be there.
+    /// What the plan and the audit of a finished job warn of; all shards have to be there.
     pub(super) fn judge(&self) -> Vec<String> {
-        let warning = |goal: Goal| verdict(&self.audit(), goal.drawn)?.warning(goal.target);
-        self.goal.and_then(warning).into_iter().collect()
+        let Some(goal) = &self.goal else { return Vec::new() };
+        let missed = verdict(&self.audit(), goal.drawn).and_then(|found| found.warning(goal.target));
+        goal.warnings.iter().cloned().chain(missed).collect()
     }
 
     /// Digest over all chunks: BLAKE3 over frame, tile (u32 little-endian) and the chunk's hash, in frame and tile order.

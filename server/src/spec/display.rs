@@ -30,6 +30,10 @@ pub fn display(spec: Option<&v1::Display>) -> Result<Display, FieldError> {
     let primaries =
         (0..).zip(&spec.primaries).map(|(i, one)| primary(&format!("display.primaries[{i}]"), one));
     let mut primaries: Vec<Primary> = primaries.collect::<Result<_, _>>()?;
+    let white_channel = white_channel(&spec, &primaries)?;
+    for primary in primaries.iter_mut().filter(|primary| primary.channel == Channel::White) {
+        primary.channel = white_channel;
+    }
     primaries.extend(spec.ambient.as_ref().map(ambient).transpose()?);
     let contrast = spec.contrast.map(|c| in_range("display.contrast", c, 1.0, 1e9)).transpose()?;
     let width_px = needed("display.width_px", spec.width_px)?;
@@ -96,7 +100,25 @@ fn over(preset: v1::Display, spec: &v1::Display) -> v1::Display {
         tilt_deg: spec.tilt_deg.or(preset.tilt_deg),
         turn_deg: spec.turn_deg.or(preset.turn_deg),
         curvature_radius_cm: spec.curvature_radius_cm.or(preset.curvature_radius_cm),
+        white_driven_by: spec.white_driven_by.or(preset.white_driven_by),
     }
+}
+
+/// What drives the primaries `white`.
+fn white_channel(spec: &v1::Display, primaries: &[Primary]) -> Result<Channel, FieldError> {
+    use v1::display::WhiteDrivenBy as W;
+    let field = "display.white_driven_by";
+    let is_white = |primary: &Primary| primary.channel == Channel::White;
+    let is_mixed = primaries.iter().any(is_white) && !primaries.iter().all(is_white);
+    if is_mixed && spec.white_driven_by.is_none() {
+        let message = "is missing: a white primary beside coloured ones is driven by the `MEAN` of red, green and blue or \
+                       by the `LEAST` of them";
+        return Err(FieldError::new(field, message));
+    }
+    Ok(match choice(field, spec.white_driven_by, W::Mean, W::as_str_name)? {
+        W::Mean => Channel::White,
+        W::Least => Channel::Least,
+    })
 }
 
 /// How the screen stands before the head.

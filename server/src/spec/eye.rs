@@ -25,6 +25,19 @@ const WHOLE: [&str; 6] =
 /// Of these one given drops the others of the preset.
 const TABLES: [&str; 3] = ["polyline", "herzberger", "quadratic"];
 
+/// Most that the eye accommodates, by itself or by its age, dioptres.
+fn amplitude_d(focus: &v1::Focus) -> Result<Option<f64>, FieldError> {
+    match (focus.amplitude_d, focus.age_years) {
+        (Some(_), Some(_)) => Err(FieldError::new("eye.focus.age_years", "excludes `amplitude_d`")),
+        (amplitude_d, None) => Ok(amplitude_d.map(|d| d + 0.0)),
+        // Mean amplitude of Hofstetter (1950).
+        (None, Some(years)) => {
+            let years = in_range("eye.focus.age_years", years, 1.0, 100.0)?;
+            Ok(Some((18.5 - 0.3 * years).max(0.0)))
+        }
+    }
+}
+
 pub(super) fn eye(spec: Option<&v1::Eye>, distance_cm: f64) -> Result<Eye, FieldError> {
     use v1::eye::Side as S;
     let spec = spec.cloned().unwrap_or_default();
@@ -70,6 +83,7 @@ pub(super) fn eye(spec: Option<&v1::Eye>, distance_cm: f64) -> Result<Eye, Field
         }),
         prescription: own,
         relaxed: focus.relaxed.unwrap_or(false),
+        amplitude_d: amplitude_d(&focus)?,
     })
 }
 

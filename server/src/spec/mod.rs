@@ -62,7 +62,29 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
         // What cannot be planned is refused by the plan, which says why.
         experiment.counts.engine = automatic(&experiment).unwrap_or(Engine::Expected);
     }
+    default_seeds(spec, &mut experiment)?;
     Ok(experiment)
+}
+
+/// Gives the seeds that were not given: others for other experiments, so that their noise is independent.
+fn default_seeds(spec: &v1::Experiment, experiment: &mut Experiment) -> Result<(), FieldError> {
+    let movement = spec.gaze.as_ref().and_then(|gaze| gaze.movement.as_ref());
+    let is_given = [
+        spec.counts.as_ref().is_some_and(|counts| counts.seed.is_some()),
+        movement.is_some_and(|movement| movement.seed.is_some()),
+    ];
+    if is_given == [true; 2] {
+        return Ok(());
+    }
+    let of_content = experiment.seed_of_content();
+    let seed = of_content.map_err(|error| FieldError::new("counts.seed", error.to_string()))?;
+    if !is_given[0] {
+        experiment.counts.seed = seed;
+    }
+    if !is_given[1] {
+        experiment.gaze.seed = seed ^ 1;
+    }
+    Ok(())
 }
 
 /// `white_td` is the retinal illuminance by the display's white, trolands.
@@ -194,7 +216,7 @@ fn counts(spec: Option<&v1::Counts>) -> Result<Counts, FieldError> {
     Ok(Counts {
         engine,
         poisson,
-        seed: spec.seed.unwrap_or(1),
+        seed: spec.seed.unwrap_or(0),
         photon_list: spec.photon_list.unwrap_or(false),
         wavelength_step_nm: settings.wavelength_step_nm,
         knobs: Knobs {

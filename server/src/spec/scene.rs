@@ -183,7 +183,7 @@ pub fn gaze(spec: Option<&v1::Gaze>, display: &Display) -> Result<Gaze, FieldErr
         movement: movement.map_or(Ok(Movement::Still), base)?,
         tremor: movement.and_then(|m| m.tremor.as_ref()).map(tremor),
         microsaccades: movement.and_then(|m| m.microsaccades.as_ref()).map(microsaccades),
-        seed: movement.and_then(|m| m.seed).unwrap_or(1),
+        seed: movement.and_then(|m| m.seed).unwrap_or(0),
     })
 }
 

@@ -39,7 +39,7 @@ fn audited(state: &State, id: WorkId, fence: u64, error: f64) -> Command {
 
 fn judged(id: &str, target: f64) -> Command {
     Command::Create(Box::new(NewJob {
-        goal: Some(Goal { target, drawn: false }),
+        goal: Some(Goal { target, drawn: false, warnings: Vec::new() }),
         experiment: Text::of(format!("{{\"accuracy_target\":{target}}}")),
         plan: Text::of("{\"engine\":\"EXPECTED\"}"),
         ..job(id, None)
@@ -141,7 +141,10 @@ async fn a_job_from_before_is_judged() {
     }
     drop(db);
     let mut store = open(&file).await;
-    assert_eq!(store.state().jobs["a"].goal, Some(Goal { target: 0.0123, drawn: false }));
+    assert_eq!(
+        store.state().jobs["a"].goal,
+        Some(Goal { target: 0.0123, drawn: false, warnings: Vec::new() })
+    );
     assert_eq!(store.state().jobs["no target"].goal, None);
     work(&mut store, 99, 0.02).await;
     let (state, said) = stored(&file, "a").await;

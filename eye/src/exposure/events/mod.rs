@@ -126,9 +126,9 @@ impl Events {
         let veil = |stray| Veil::new((experiment, inputs), primaries, cones, stray);
         let veil = experiment.eye.stray_light.map(veil).transpose()?;
         let kept = veil.as_ref().map_or(1.0, Veil::kept);
-        let (seed, ids) = (experiment.counts.seed, &retina.id);
+        let (seed, ids) = (experiment.noise_seed(), &retina.id);
         Ok(Self {
-            seed: experiment.counts.seed,
+            seed,
             place: mixed(kernels.spec().field_um[0].x.to_bits(), kernels.spec().field_um[0].y.to_bits()),
             scene: scene.clone(),
             index,

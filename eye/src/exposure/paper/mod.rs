@@ -145,7 +145,7 @@ impl Paper {
         let throughput = kernels.throughput();
         let mut paper = Self {
             settings: experiment.counts.paper,
-            seed: experiment.counts.seed,
+            seed: experiment.noise_seed(),
             absorbance,
             paths: (0..CHANNELS).map(|c| kernels.paths_at(MIN_NM + CHANNEL_NM * c as f64)).collect(),
             scene: scene.clone(),
