@@ -14,7 +14,7 @@ use crate::retina::{
     Aperture, CellWalls, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry, RetinaParams,
 };
 use crate::rng::mixed;
-use crate::video::ClipFormat;
+use crate::video::{ClipFormat, FromFilm};
 
 /// Version of the counts that an experiment gives; rises whenever the same experiment gives other counts.
 pub const COUNTS_VERSION: u32 = 15;
@@ -152,6 +152,9 @@ pub struct Clip {
     pub blobs: Vec<String>,
     /// What the files' bytes mean where they do not say so.
     pub format: ClipFormat,
+    /// What the frames show of a film whose rate is not the display's; `None`: not said.
+    #[serde(default)]
+    pub from_film: Option<FromFilm>,
 }
 
 /// Where a size in visual degrees holds on the screen.
@@ -441,13 +444,15 @@ impl Experiment {
         mixed(self.counts.seed, of_mosaic)
     }
 
-    /// A seed that follows from everything but the seeds of counts and movement that are 0: those that were not given.
-    /// It has 53 bits, so that every JSON reader keeps it.
+    /// A seed that follows from everything but the seeds of counts and movement. It has 53 bits, so that every JSON reader
+    /// keeps it.
     ///
     /// # Errors
     /// Never for an experiment that was validated.
     pub fn seed_of_content(&self) -> Result<u64, postcard::Error> {
-        let Digest(bytes) = digest_of("default seed", COUNTS_VERSION, self)?;
+        let mut seedless = self.clone();
+        (seedless.counts.seed, seedless.gaze.seed) = (0, 0);
+        let Digest(bytes) = digest_of("default seed", COUNTS_VERSION, &seedless)?;
         let [a, b, c, d, e, f, g, h, ..] = bytes;
         Ok((u64::from_le_bytes([a, b, c, d, e, f, g, h]) >> 11).max(1))
     }

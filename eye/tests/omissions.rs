@@ -166,7 +166,8 @@ fn pictures_of_a_clip_are_joined_one_by_one() {
     let coloured =
         draw(&Pattern::Uniform { rgb: [1.0, 0.5, 0.5] }, &ScreenView::frontal(&e.display, &e.gaze));
     let pattern = cached_exposure(&e);
-    e.video = Video::Clip(Clip { blobs: vec![String::new()], format: ClipFormat::default() });
+    let blobs = vec![String::new()];
+    e.video = Video::Clip(Clip { blobs, format: ClipFormat::default(), from_film: None });
     let clip = cached_exposure(&e);
     let of = |exposure: &photoneye_eye::exposure::Exposure, picture| exposure.frame(0, picture).unwrap();
     let (first, second) = (of(&clip, Some(&coloured)), of(&clip, Some(&gray)));

@@ -2,9 +2,9 @@
 //! size, and a measured mosaic's rows are cones.
 
 use photoneye_eye::display::Display;
-use photoneye_eye::experiment::{Retina, Video};
+use photoneye_eye::experiment::{Clip, Retina, Video};
 use photoneye_eye::retina::{RetinaGeometry, check_mosaic};
-use photoneye_eye::video::{Limits as PictureLimits, clip_info};
+use photoneye_eye::video::{ClipInfo, FromFilm, Limits as PictureLimits, clip_info};
 use photoneye_proto::FieldError;
 use photoneye_store::BlobDigest;
 
@@ -15,8 +15,26 @@ use crate::service::Service;
 /// The mosaic's field, for errors.
 const FIELD: &str = "retina.mosaic.blob";
 
+/// Relative difference of rates that are taken as the same: 23.976 and 24 pictures a second are not.
+const SAME_RATE: f64 = 5e-4;
+
+/// Frames of a display that show a film once.
+fn frames_of_film(clip: &Clip, info: &ClipInfo, display_hz: f64) -> Result<u32, FieldError> {
+    let Some(film_hz) = info.rate_hz else { return Ok(info.frames) };
+    let is_same = (film_hz / display_hz - 1.0).abs() < SAME_RATE;
+    let Some(from_film) = clip.from_film.or(is_same.then_some(FromFilm::OneEach)) else {
+        let message = format!(
+            "is missing: the film has {film_hz:.3} pictures a second, the display {display_hz:.3} frames; `REPEAT` shows in each frame \
+             the picture whose time it is, `ONE_EACH` a picture a frame"
+        );
+        return Err(FieldError::new("frames.from_film", message));
+    };
+    Ok(from_film.frames(info.frames, film_hz, display_hz))
+}
+
 impl Service {
-    /// The clip's files are there and of the display's size; the number of frames of a film, `None` for pictures. Only headers are read.
+    /// The clip's files are there and of the display's size, and a film of another rate says what frames show of it; the number of
+    /// frames that show a film once, `None` for pictures. Only headers are read.
     pub(crate) async fn check_pictures(
         &self,
         caller: &Caller,
@@ -48,7 +66,8 @@ impl Service {
                 let message = format!("a film of {} frames must be the only file", info.frames);
                 return Err(FieldError::new(path, message).into());
             }
-            film = (info.frames > 1).then_some(info.frames);
+            film =
+                (info.frames > 1).then(|| frames_of_film(clip, &info, display.frame_rate_hz)).transpose()?;
         }
         Ok(film)
     }

@@ -4,10 +4,12 @@
 
 mod counts;
 mod dark;
+mod films;
 mod focus;
 mod gaze;
 mod geometry;
 mod luminance;
+mod mosaic;
 mod noise;
 mod pictures;
 #[path = "../e2e/support.rs"]

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use photoneye_eye::video::{Limits, Picture, decode_frame};
+use photoneye_eye::video::{Limits, Picture, decode_frame, film_rate_hz};
 
 use crate::scene::Scene;
 use crate::{Shared, WorkError, blocking};
@@ -36,7 +36,7 @@ impl Pictures {
         for frame in (index.saturating_sub(history)..=index).rev() {
             let name = match clip.blobs.as_slice() {
                 // One file may be a film.
-                [only] => (only.clone(), frame),
+                [only] => (only.clone(), self.picture_of(shared, scene, only, frame).await?),
                 files => match files.get(frame as usize).or(files.last()) {
                     Some(file) => (file.clone(), 0),
                     None => return Ok(Vec::new()),
@@ -50,6 +50,29 @@ impl Pictures {
         Ok(pictures)
     }
 
+    /// The picture of a film that a frame shows.
+    async fn picture_of(
+        &mut self,
+        shared: &Shared,
+        scene: &Scene,
+        file: &str,
+        frame: u32,
+    ) -> Result<u32, WorkError> {
+        let Some(from_film) = scene.clip.as_ref().and_then(|clip| clip.from_film) else { return Ok(frame) };
+        let bytes = self.bytes_of(shared, file).await?;
+        Ok(film_rate_hz(&bytes).map_or(frame, |hz| from_film.picture(frame, hz, scene.frame_rate_hz)))
+    }
+
+    /// The bytes of a file, which is kept.
+    async fn bytes_of(&mut self, shared: &Shared, file: &str) -> Result<Bytes, WorkError> {
+        if let Some((_, bytes)) = self.file.as_ref().filter(|(known, _)| known == file) {
+            return Ok(bytes.clone());
+        }
+        let bytes = Bytes::from_owner(shared.cache.blob(file).await?);
+        self.file = Some((file.to_owned(), bytes.clone()));
+        Ok(bytes)
+    }
+
     async fn decode(
         &mut self,
         shared: &Shared,
@@ -59,14 +82,7 @@ impl Pictures {
         if let Some((_, picture)) = self.decoded.iter().find(|(known, _)| *known == name) {
             return Ok(Arc::clone(picture));
         }
-        let bytes = match &self.file {
-            Some((file, bytes)) if *file == name.0 => bytes.clone(),
-            _ => {
-                let bytes = Bytes::from_owner(shared.cache.blob(&name.0).await?);
-                self.file = Some((name.0.clone(), bytes.clone()));
-                bytes
-            }
-        };
+        let bytes = self.bytes_of(shared, &name.0).await?;
         let format = scene.clip.as_ref().map(|clip| clip.format).unwrap_or_default();
         let (size, frame, file) = (scene.size_px, name.1, name.0.clone());
         let picture = blocking(move || {

@@ -51,7 +51,7 @@ pub struct Raw {
 }
 
 /// What a file holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClipInfo {
     /// Columns.
     pub width: u32,
@@ -59,6 +59,35 @@ pub struct ClipInfo {
     pub height: u32,
     /// Frames.
     pub frames: u32,
+    /// Pictures a second of a film that says it.
+    pub rate_hz: Option<f64>,
+}
+
+/// What pictures of a film the frames of a display show whose rate is another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FromFilm {
+    /// One picture a frame, whatever the film's rate.
+    OneEach,
+    /// Each frame the picture whose time it is, so that pictures are repeated or left out.
+    Repeat,
+}
+
+impl FromFilm {
+    /// The picture of a frame.
+    pub fn picture(self, frame: u32, film_hz: f64, display_hz: f64) -> u32 {
+        match self {
+            Self::OneEach => frame,
+            Self::Repeat => (f64::from(frame) * film_hz / display_hz + 1e-6) as u32,
+        }
+    }
+
+    /// Frames that show a film of so many pictures.
+    pub fn frames(self, pictures: u32, film_hz: f64, display_hz: f64) -> u32 {
+        match self {
+            Self::OneEach => pictures,
+            Self::Repeat => (f64::from(pictures) * display_hz / film_hz).round().max(1.0) as u32,
+        }
+    }
 }
 
 /// Size and number of frames of a file, without decoding pixels. `display` is the size (columns, rows) of raw frames.
@@ -73,23 +102,31 @@ pub fn clip_info(
 ) -> Result<ClipInfo, DecodeError> {
     if let Some(raw) = format.raw {
         let [width, height] = display;
-        return Ok(ClipInfo { width, height, frames: raw_frames(bytes, raw, display)? });
+        return Ok(ClipInfo { width, height, frames: raw_frames(bytes, raw, display)?, rate_hz: None });
     }
-    let (width, height, frames) = match bytes {
+    let (width, height, frames, rate_hz) = match bytes {
         [b'P', b'2' | b'3' | b'5' | b'6', ..] => {
             let size = netpbm::size(bytes, limits)?;
-            (size.0, size.1, 1)
+            (size.0, size.1, 1, None)
         }
         _ if bytes.starts_with(b"YUV4MPEG2") => {
             let film = Y4m::read(bytes, format.yuv, limits)?;
-            (film.width, film.height, film.frames.len() as u32)
+            (film.width, film.height, film.frames.len() as u32, film.rate_hz)
         }
         _ => {
             let size = png_size(bytes, limits)?;
-            (size.0, size.1, 1)
+            (size.0, size.1, 1, None)
         }
     };
-    Ok(ClipInfo { width, height, frames })
+    Ok(ClipInfo { width, height, frames, rate_hz })
+}
+
+/// Pictures a second of a Y4M film that says it, from its first line.
+pub fn film_rate_hz(bytes: &[u8]) -> Option<f64> {
+    let head = bytes.strip_prefix(b"YUV4MPEG2")?;
+    let end = head.iter().take(1024).position(|byte| *byte == b'\n')?;
+    let words = std::str::from_utf8(&head[..end]).ok()?;
+    super::y4m::rate_hz(words.split(' ').find_map(|word| word.strip_prefix('F'))?)
 }
 
 /// Decodes frame `frame` of a file; the last one stays.
@@ -154,7 +191,7 @@ mod tests {
         let bytes: Vec<u8> = (0..2 * 3 * 4).collect();
         let format = ClipFormat { raw: Some(Raw { bits: 8 }), yuv: None };
         let info = clip_info(&bytes, &format, [2, 2], Limits::default()).unwrap();
-        assert_eq!(info, ClipInfo { width: 2, height: 2, frames: 2 });
+        assert_eq!(info, ClipInfo { width: 2, height: 2, frames: 2, rate_hz: None });
         let second = decode_frame(&bytes, &format, [2, 2], 1, Limits::default()).unwrap();
         assert!((second.rgb[0] - 12.0 / 255.0).abs() < 1e-7);
         let wide = ClipFormat { raw: Some(Raw { bits: 16 }), yuv: None };

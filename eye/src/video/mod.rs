@@ -15,7 +15,9 @@ pub mod sweep;
 mod y4m;
 
 pub use chart::{PlacedLetter, logmar_rows, paper_rows, placed_letters};
-pub use clip::{ClipFormat, ClipInfo, Matrix, Range, Raw, Yuv, clip_info, decode_frame};
+pub use clip::{
+    ClipFormat, ClipInfo, FromFilm, Matrix, Range, Raw, Yuv, clip_info, decode_frame, film_rate_hz,
+};
 pub use decode::{DecodeError, Limits, decode_png, png_size};
 pub use pattern::draw;
 pub use screen_view::ScreenView;

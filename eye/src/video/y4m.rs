@@ -58,6 +58,8 @@ pub struct Y4m<'a> {
     pub height: u32,
     /// The planes of each frame.
     pub frames: Vec<&'a [u8]>,
+    /// Pictures a second, where the file says it.
+    pub rate_hz: Option<f64>,
     layout: Layout,
     yuv: Yuv,
 }
@@ -68,11 +70,19 @@ fn line<'a>(bytes: &'a [u8], what: &str) -> Result<&'a str, DecodeError> {
     std::str::from_utf8(&bytes[..end]).map_err(|_| wrong(format!("{what} is not text")))
 }
 
+/// A rate as two whole numbers, n:d a second; 0:0 is unknown.
+pub fn rate_hz(text: &str) -> Option<f64> {
+    let (n, d) = text.split_once(':')?;
+    let hz = n.parse::<f64>().ok()? / d.parse::<f64>().ok()?;
+    (hz.is_finite() && hz > 0.0).then_some(hz)
+}
+
 impl<'a> Y4m<'a> {
     /// Reads the header and finds the frames.
     pub fn read(bytes: &'a [u8], yuv: Option<Yuv>, limits: Limits) -> Result<Self, DecodeError> {
         let head = line(bytes, "its first line")?;
         let [mut width, mut height, mut layout, mut said] = [None, None, Some("420"), None];
+        let mut rate = "";
         for word in head.split(' ').skip(1).filter(|w| !w.is_empty()) {
             let (key, value) = word.split_at_checked(1).unwrap_or((word, ""));
             match key {
@@ -82,6 +92,7 @@ impl<'a> Y4m<'a> {
                 "I" if !matches!(value, "p" | "?") => {
                     return Err(wrong(format!("interlaced ({word}), only progressive films are read")));
                 }
+                "F" => rate = value,
                 "X" => said = value.strip_prefix("COLORRANGE=").or(said),
                 _ => {}
             }
@@ -96,7 +107,8 @@ impl<'a> Y4m<'a> {
         }
         let layout = Layout::new(layout.unwrap_or("420"))?;
         let yuv = stated(yuv, said)?;
-        let mut film = Self { width, height, frames: Vec::new(), layout, yuv };
+        let rate_hz = rate_hz(rate);
+        let mut film = Self { width, height, frames: Vec::new(), rate_hz, layout, yuv };
         film.find_frames(bytes, head.len() + 1)?;
         Ok(film)
     }

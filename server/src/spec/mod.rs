@@ -26,7 +26,8 @@ const AUDIT_CONES: u32 = 6;
 pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
     let display = display::display(spec.display.as_ref())?;
     let gaze = scene::gaze(spec.gaze.as_ref(), &display)?;
-    let video = scene::video(spec.video.as_ref(), &gaze, &display)?;
+    let shown = (spec.video.as_ref(), spec.frames.as_ref());
+    let video = scene::video(shown, &gaze, &display)?;
     let frames = spec.frames.as_ref().and_then(|frames| frames.count);
     let frames = frames.unwrap_or_else(|| match &video {
         Video::Clip(clip) => (clip.blobs.len() as u32).max(1),

@@ -4,7 +4,7 @@ use photoneye_eye::display::Display;
 use photoneye_eye::experiment::{
     ChartRow, Clip, Gaze, Microsaccades, Movement, Pattern, SizesHold, SloanChart, Tremor, Video,
 };
-use photoneye_eye::video::{ClipFormat, Matrix, Range, Raw, Yuv, logmar_rows, paper_rows};
+use photoneye_eye::video::{ClipFormat, FromFilm, Matrix, Range, Raw, Yuv, logmar_rows, paper_rows};
 use photoneye_proto::FieldError;
 use photoneye_proto::v1::{self, movement, pattern, video};
 use photoneye_store::BlobDigest;
@@ -15,13 +15,19 @@ use super::read::{choice, empty_choice, needed, number, numbers};
 ///
 /// # Errors
 /// The first field that is missing or does not fit.
-pub fn video(spec: Option<&v1::Video>, gaze: &Gaze, display: &Display) -> Result<Video, FieldError> {
+pub fn video(
+    (spec, frames): (Option<&v1::Video>, Option<&v1::Frames>),
+    gaze: &Gaze,
+    display: &Display,
+) -> Result<Video, FieldError> {
     match &needed("video", spec)?.kind {
         Some(video::Kind::Files(_)) => Err(FieldError::new(
             "video.files",
             "the server reads no files: upload the pictures (PUT /v1/blobs) and send their digests as `clip`",
         )),
-        Some(video::Kind::Clip(clip)) => Ok(Video::Clip(clip_of(clip)?)),
+        Some(video::Kind::Clip(clip)) => {
+            Ok(Video::Clip(Clip { from_film: from_film(frames)?, ..clip_of(clip)? }))
+        }
         Some(video::Kind::Pattern(pattern)) => Ok(Video::Pattern(pattern_of(pattern, gaze, display)?)),
         None => Err(empty_choice("video", &["files", "clip", "pattern"])),
     }
@@ -37,7 +43,18 @@ fn clip_of(clip: &video::Clip) -> Result<Clip, FieldError> {
     Ok(Clip {
         blobs: clip.blobs.clone(),
         format: format("video.clip", clip.yuv.as_ref(), clip.raw.as_ref())?,
+        from_film: None,
     })
+}
+
+/// What frames show of a film whose rate is not the display's.
+fn from_film(spec: Option<&v1::Frames>) -> Result<Option<FromFilm>, FieldError> {
+    use v1::frames::FromFilm as F;
+    let Some(said) = spec.and_then(|frames| frames.from_film) else { return Ok(None) };
+    Ok(Some(match choice("frames.from_film", Some(said), F::OneEach, F::as_str_name)? {
+        F::OneEach => FromFilm::OneEach,
+        F::Repeat => FromFilm::Repeat,
+    }))
 }
 
 /// What a clip's files mean.
