@@ -23,8 +23,11 @@ fn cones_at_the_rim_count_as_those_inside() {
     }
     fs::write(place.path().join("lattice.csv"), rows).unwrap();
     let mut experiment: Value = small_experiment(1);
-    experiment["display"] =
-        json!({"preset": "lcos-3chip", "width_px": 32, "height_px": 32, "pixel_pitch_cm": 0.58});
+    // Red light, which the macula lets pass.
+    experiment["display"] = json!({
+        "preset": "lcos-3chip", "width_px": 32, "height_px": 32, "pixel_pitch_cm": 0.58,
+        "primaries": [{"name": "white", "spectrum": {"line": {"nm": 620, "fwhm_nm": 0}}}],
+    });
     experiment["eye"] = json!({"stiles_crawford": {"perturbation_deg": 0}});
     experiment["retina"] = json!({
         "region_deg": {"x_min": -0.3, "x_max": 0.3, "y_min": -0.3, "y_max": 0.3}, "mosaic": {"file": "lattice.csv"},
