@@ -55,17 +55,21 @@ pub fn bounds_px(experiment: &Experiment) -> Option<[DVec2; 2]> {
     let is_dark = |channel| display.driven(channel, &[0.0; 3], Place { column: 0, row: 0, frame: 0 }) <= 0.0;
     let black = display.black <= 0.0 && display.primaries.iter().all(|p| is_dark(p.channel));
     let Video::Pattern(pattern) = &experiment.video else { return whole };
+    let room = display.primaries.iter().any(|p| p.channel == Channel::Room && p.power > 0.0);
+    if !black || room {
+        return whole;
+    }
+    let is_lit = |rgb: &[f64; 3]| rgb.iter().any(|v| *v > 0.0);
+    match pattern {
+        Pattern::Uniform { rgb } => return whole.filter(|_| is_lit(rgb)),
+        Pattern::Point { at_px: [x, y], rgb } => {
+            let at = DVec2::new(f64::from(*x), f64::from(*y));
+            return is_lit(rgb).then_some([at, at + 1.0]);
+        }
+        _ if size.x * size.y > MOST_PIXELS as f64 => return whole,
+        _ => {}
+    }
     let Ok(view) = ScreenView::of(experiment) else { return whole };
-    if !black || size.x * size.y > MOST_PIXELS as f64 * 10.0 {
-        return whole;
-    }
-    if display.primaries.iter().any(|p| p.channel == Channel::Room && p.power > 0.0) {
-        return whole;
-    }
-    if let Pattern::Point { at_px: [x, y], rgb } = pattern {
-        let at = DVec2::new(f64::from(*x), f64::from(*y));
-        return rgb.iter().any(|v| *v > 0.0).then_some([at, at + 1.0]);
-    }
     let picture = draw(pattern, &view);
     let lit = picture.rgb.chunks_exact(3).enumerate().filter(|(_, rgb)| rgb.iter().any(|v| *v > 0.0));
     lit.map(|(pixel, _)| {
