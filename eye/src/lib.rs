@@ -18,5 +18,6 @@ pub mod psf;
 pub mod report;
 pub mod retina;
 pub mod rng;
+mod seeds;
 pub mod spectrum;
 pub mod video;

@@ -24,8 +24,8 @@ fn frames_of_film(clip: &Clip, info: &ClipInfo, display_hz: f64) -> Result<u32, 
     let is_same = (film_hz / display_hz - 1.0).abs() < SAME_RATE;
     let Some(from_film) = clip.from_film.or(is_same.then_some(FromFilm::OneEach)) else {
         let message = format!(
-            "is missing: the film has {film_hz:.3} pictures a second, the display {display_hz:.3} frames; `REPEAT` shows in each frame \
-             the picture whose time it is, `ONE_EACH` a picture a frame"
+            "is missing: the film has {film_hz:.3} pictures a second, the display {display_hz:.3} frames; `REPEAT` shows in \
+             each frame the picture whose time it is, `ONE_EACH` a picture a frame"
         );
         return Err(FieldError::new("frames.from_film", message));
     };
@@ -33,8 +33,8 @@ fn frames_of_film(clip: &Clip, info: &ClipInfo, display_hz: f64) -> Result<u32, 
 }
 
 impl Service {
-    /// The clip's files are there and of the display's size, and a film of another rate says what frames show of it; the number of
-    /// frames that show a film once, `None` for pictures. Only headers are read.
+    /// The clip's files are there and of the display's size, and a film of another rate says what frames show of it;
+    /// the number of frames that show a film once, `None` for pictures. Only headers are read, and pictures with alpha.
     pub(crate) async fn check_pictures(
         &self,
         caller: &Caller,

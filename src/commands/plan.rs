@@ -99,8 +99,8 @@ fn screen(seen: &v1::DisplaySeen) -> String {
     let [across, down] = seen.px_per_deg[..] else { return String::new() };
     let [least, most] = seen.px_per_deg_at_edges[..] else { return String::new() };
     format!(
-        "Screen        fixated {:.1} cm away, the eye turned by {:.1}°; corners at {}°; {across:.1} x {down:.1} pixels per degree \
-         at the gaze, {least:.1} to {most:.1} at the edges",
+        "Screen        fixated {:.1} cm away, the eye turned by {:.1}°; corners at {}°; {across:.1} x {down:.1} \
+         pixels per degree at the gaze, {least:.1} to {most:.1} at the edges",
         seen.fixated_cm(),
         seen.turned_deg(),
         corners.join(" "),

@@ -8,8 +8,8 @@ use tempfile::tempdir;
 use crate::run;
 use crate::support::{read_npy, small_experiment, texts};
 
-/// A hexagonal lattice of 625 equal cones 3 µm apart with a hole of seven, an even field: every cone counts the same. Those at the
-/// rim counted up to 4.55 times as much.
+/// A hexagonal lattice of 625 equal cones 3 µm apart with a hole of seven, an even field: every cone counts the same.
+/// Those at the rim counted up to 4.55 times as much.
 #[test]
 fn cones_at_the_rim_count_as_those_inside() {
     let place = tempdir().unwrap();

@@ -96,16 +96,25 @@ pub enum EmissionLaw {
 }
 
 impl EmissionLaw {
-    /// Irradiance, across the light, at a corneal apex (over the screen's nominal distance, in the view frame) from the
-    /// point `t` of a screen, over that from a point at the nominal distance that faces it.
-    pub fn irradiance(self, screen: &Screen, t: DVec2, apex: DVec3) -> f64 {
+    /// Irradiance at the corneal apex, across the light, from the point `t` of a screen over that from a point at the
+    /// nominal distance that faces the eye: the law and the squared distance.
+    pub fn irradiance(self, screen: &Screen, t: DVec2) -> f64 {
+        screen.nearness(t) * self.towards(screen.emission_cosine(t))
+    }
+
+    /// The same at a corneal apex in another place, over the nominal distance in the view frame.
+    pub fn irradiance_at(self, apex: DVec3, screen: &Screen, t: DVec2) -> f64 {
         let way = apex - screen.way(t);
-        let cosine = way.normalize().dot(screen.normal(t)).max(0.0);
-        let factor = match self {
+        self.towards(way.normalize().dot(screen.normal(t))) / way.length_squared()
+    }
+
+    /// Intensity over that along the normal, by the cosine of the angle to it: none behind the screen.
+    fn towards(self, cosine: f64) -> f64 {
+        match self {
+            _ if cosine <= 0.0 => 0.0,
             Self::Lambertian => cosine,
             Self::Uniform => 1.0,
-        };
-        factor / way.length_squared()
+        }
     }
 }
 

@@ -7,7 +7,7 @@ use super::bounds;
 use super::inputs::Inputs;
 use crate::display::EmissionLaw;
 use crate::experiment::Experiment;
-use crate::optics::{BeamField, Screen};
+use crate::optics::BeamField;
 use crate::plan::setup::setup;
 use crate::retina::{ConeType, Retina};
 
@@ -95,21 +95,10 @@ pub struct ConeTable {
     pub cones: Vec<MappedCone>,
 }
 
-/// Irradiance at the corneal apex, across the light, from a point of a screen over that from a point at the
-/// nominal distance that faces the eye: the screen's emission law and the squared distance.
-pub fn emission(law: EmissionLaw, screen: &Screen, tangent: DVec2) -> f64 {
-    match law {
-        EmissionLaw::Lambertian => screen.nearness(tangent) * screen.emission_cosine(tangent),
-        // The half space before the screen is all that it lights.
-        EmissionLaw::Uniform if screen.emission_cosine(tangent) <= 0.0 => 0.0,
-        EmissionLaw::Uniform => screen.nearness(tangent),
-    }
-}
-
 /// Light that enters the pupil from a point of a screen, over that which a pupil of nominal area gets from a point
 /// at the nominal distance that faces the eye.
 pub fn entering(law: EmissionLaw, beams: &BeamField, tangent: DVec2) -> f64 {
-    emission(law, beams.screen(), tangent) * beams.relative(tangent)
+    law.irradiance(beams.screen(), tangent) * beams.relative(tangent)
 }
 
 impl ConeTable {

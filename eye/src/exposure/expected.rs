@@ -78,8 +78,8 @@ pub struct Expected {
     guided: ConeSum,
 }
 
-/// What is kept from one frame of a scene to the next: how the cones see the screen after the last turn of the eye, in steps.
-/// Whatever is in it, frames are the same.
+/// What is kept from one frame of a scene to the next: how the cones see the screen after the last turn of the eye,
+/// in steps. Whatever is in it, frames are the same.
 #[derive(Clone, Default)]
 pub struct Memo(Option<([i64; 2], Arc<Turned>)>);
 
@@ -104,15 +104,17 @@ impl Expected {
         settings: &Numerics,
     ) -> Self {
         let Primaries { kernels, projector } = primaries;
+        // Prepare the transforms of pixels and pictures, and the basis kernels at their frequencies.
         let scene = scene.clone();
         let spread = Spread::new(settings.spread_width, 1.6);
         let band = Band::new(scene.period_px, scene.samples, scene.band * scene.tangent_per_px);
         let pixels = pixel_transforms(&scene, &spread, &band, &projector.emitters);
         let size = scene.size_px.map(|s| s as usize);
         let pictures = PictureSpectrum::new(size, scene.period_px, &band, settings.single);
-        let seeing = seeing(kernels, cones, settings.blind_below);
         let basis = BasisTable::new(&scene, kernels, &band, 0);
         let arriving = BasisTable::new(&scene, kernels, &band, ARRIVING);
+        // Prepare what each cone reads of the images, and the sums over all cones.
+        let seeing = seeing(kernels, cones, settings.blind_below);
         let stencils = Stencils::new(&scene, &spread, cones);
         let places: Vec<Vec<f64>> =
             cones.cones.par_iter().map(|c| kernels.weights(c.um, c.ecc_deg)).collect();

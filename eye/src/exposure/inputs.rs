@@ -49,10 +49,12 @@ impl Inputs {
             let given = artifacts.len();
             return Err(model(format!("a shard needs its cones and kernels, not {given} artifacts")));
         };
+        // Read the artifacts.
         let retina = Retina::from_bytes(cones.as_ref())
             .map_err(|e| ExposureError::Artifact("cones", e.to_string()))?;
         let kernels =
             Kernels::from_bytes(kernels.as_ref()).map_err(|e| ExposureError::Artifact("kernels", e))?;
+        // Lay out the scene of the tile.
         let setup = setup(experiment).map_err(|e| model(e.to_string()))?;
         let [min, max] = kernels.spec().field_um;
         let tile = RegionUm { min, max };
@@ -65,6 +67,7 @@ impl Inputs {
         let eye = &experiment.eye;
         let beams = BeamField::new(&projection).map_err(|e| model(e.to_string()))?;
         let pointing = (!small_pointing(experiment, &pointing)).then_some(pointing);
+        // Prepare the light.
         let display = experiment.display.clone();
         let projector = Projector {
             emitters: emitters(&display).map_err(model)?,
@@ -98,7 +101,7 @@ impl Inputs {
         let of_tile = (gaze, display.emission_law);
         let frames = [f64::from(experiment.frames), display.frame_rate_hz];
         let turning = Turning::new(&self.projection, &self.scene, of_tile, frames)?;
-        turning.seen(self.scene.band, TURNING_SHARE * experiment.accuracy_target)
+        turning.if_noticeable(self.scene.band, TURNING_SHARE * experiment.accuracy_target)
     }
 }
 

@@ -6,7 +6,6 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 
 use super::around::{Around, Moments};
-use super::cones::emission;
 use super::field::Field;
 use super::kernel::{
     APERTURE_UM, ARRIVING_TOLERANCE, Head, KernelSpec, Kernels, KindBasis, MEAN_WEIGHT, PlaceKernels, SHARES,
@@ -100,7 +99,7 @@ impl KernelSpec {
         // Light that enters the pupil from each point at each wavelength, over that of the nominal pupil on the line of sight.
         let nominal = nominal_mm2(self.state.pupil_mm);
         let entering = |(p, w): &(&FieldPoint, &Wavefront)| {
-            emission(self.emission_law, &self.screen, p.tangent) * w.pupil_area_mm2 / nominal
+            self.emission_law.irradiance(&self.screen, p.tangent) * w.pupil_area_mm2 / nominal
         };
         let factors: Vec<f64> = jobs.iter().map(entering).collect();
         let media = self.absorbers()?.media;

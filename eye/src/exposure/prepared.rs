@@ -20,29 +20,22 @@ use crate::plan::largest::LARGEST_COUNT;
 use crate::plan::{Numerics, Rule};
 use crate::report::PhotonBudget;
 
+/// A frame that is asked for: its scene and what is shown.
+type Asked<'a> = (&'a Exposure, &'a Shown<'a>);
+/// A counted frame.
+type Counted = Result<Frame, ExposureError>;
+
 /// An engine: how the photons of a prepared scene are counted.
 trait Counter: Send + Sync {
     /// Counts one frame.
-    fn frame(
-        &self,
-        prepared: &Prepared,
-        exposure: &Exposure,
-        shown: &Shown,
-        memo: &mut Memo,
-    ) -> Result<Frame, ExposureError>;
+    fn frame(&self, prepared: &Prepared, asked: Asked, memo: &mut Memo) -> Counted;
 
     /// The means by cone, light only, that the counts of a frame are drawn from; `None` where they are not known.
     fn means(&self, prepared: &Prepared, exposure: &Exposure, shown: &Shown) -> Option<Vec<f64>>;
 }
 
 impl Counter for Expected {
-    fn frame(
-        &self,
-        prepared: &Prepared,
-        exposure: &Exposure,
-        shown: &Shown,
-        memo: &mut Memo,
-    ) -> Result<Frame, ExposureError> {
+    fn frame(&self, prepared: &Prepared, (exposure, shown): Asked, memo: &mut Memo) -> Counted {
         let source = prepared.projector.frame(shown, &exposure.inputs.scene);
         let means = prepared.expected_means(exposure, self, (shown, &source), memo);
         if exposure.experiment.counts.poisson {
@@ -58,13 +51,7 @@ impl Counter for Expected {
 }
 
 impl Counter for Events {
-    fn frame(
-        &self,
-        prepared: &Prepared,
-        exposure: &Exposure,
-        shown: &Shown,
-        _: &mut Memo,
-    ) -> Result<Frame, ExposureError> {
+    fn frame(&self, prepared: &Prepared, (exposure, shown): Asked, _: &mut Memo) -> Counted {
         let drawn = Self::frame(self, shown, &prepared.projector).map_err(ExposureError::Model)?;
         let cones = &exposure.cones;
         let budget = prepared.ledger.budget(&prepared.projector, (shown, None), cones, &drawn.means);
@@ -79,13 +66,7 @@ impl Counter for Events {
 }
 
 impl Counter for Paper {
-    fn frame(
-        &self,
-        prepared: &Prepared,
-        exposure: &Exposure,
-        shown: &Shown,
-        _: &mut Memo,
-    ) -> Result<Frame, ExposureError> {
+    fn frame(&self, prepared: &Prepared, (exposure, shown): Asked, _: &mut Memo) -> Counted {
         let (counts, fates) = Self::frame(self, shown, &prepared.projector);
         Ok(drawn_frame(exposure, shown.index, counts, fates))
     }
@@ -148,7 +129,7 @@ impl Prepared {
     /// # Errors
     /// What the engine refuses.
     pub fn frame(&self, exposure: &Exposure, shown: &Shown, memo: &mut Memo) -> Result<Frame, ExposureError> {
-        self.counter.frame(self, exposure, shown, memo)
+        self.counter.frame(self, (exposure, shown), memo)
     }
 
     /// The means by cone, light only, that the counts of a frame are drawn from; `None` where they are not known.

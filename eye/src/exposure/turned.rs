@@ -9,13 +9,14 @@
 //! What is left is that PSFs keep the size on the screen that they have at rest ([`Turning::stretch`]).
 
 use glam::{DMat2, DVec2};
+use rayon::prelude::*;
 
-use super::cones::{ConeTable, MappedCone};
+use super::cones::{ConeTable, MappedCone, entering};
 use super::nodes::{chebyshev, lagrange};
 use super::scene::Scene;
 use crate::display::EmissionLaw;
 use crate::movement::Gaze;
-use crate::optics::Projection;
+use crate::optics::{BeamField, Projection};
 
 /// Nodes along each side of a tile.
 const NODES: usize = 5;
@@ -51,7 +52,7 @@ pub struct Turn {
 
 /// How a place of the window is seen in a frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen {
+pub struct Displaced {
     /// From the place at rest that sees it, pixels.
     pub apart: DVec2,
     /// Its light over that at rest.
@@ -60,7 +61,7 @@ pub struct Seen {
     pub stretch: DMat2,
 }
 
-impl Seen {
+impl Displaced {
     /// Of an eye that rests.
     pub const AT_REST: Self = Self { apart: DVec2::ZERO, light: 1.0, stretch: DMat2::IDENTITY };
 }
@@ -88,7 +89,7 @@ impl Turning {
 
     /// The same only where it changes means by more than `tolerance`, of a picture that holds frequencies up to
     /// `band` (cycles per unit of the screen).
-    pub fn seen(mut self, band: f64, tolerance: f64) -> Option<Self> {
+    pub fn if_noticeable(mut self, band: f64, tolerance: f64) -> Option<Self> {
         let effect = self.effect(band);
         let largest = self.middle.rectangle().iter().map(|turn| turn.length()).fold(0.0, f64::max);
         // What a turn changes is in proportion to it; half a step along both axes is the farthest.
@@ -171,7 +172,7 @@ impl Turn {
     }
 
     /// For a place of the window from which light comes (pixels, the middle's movement taken off): how it is seen.
-    pub fn seen(&self, px: DVec2) -> Seen {
+    pub fn source(&self, px: DVec2) -> Displaced {
         let at = |px: DVec2| {
             let mut seen = self.at(px);
             // The displacement changes by some per cent of the distance: two steps are exact to 1e-5 of it.
@@ -182,12 +183,25 @@ impl Turn {
         };
         let (apart, light) = at(px);
         let by = |axis: DVec2| axis - (at(px + axis).0 - apart);
-        Seen { apart, light, stretch: DMat2::from_cols(by(DVec2::X), by(DVec2::Y)) }
+        Displaced { apart, light, stretch: DMat2::from_cols(by(DVec2::X), by(DVec2::Y)) }
+    }
+
+    /// The same for a pixel's middle, and the light that enters the pupil from there, relative to a point at the nominal
+    /// distance that faces the eye.
+    pub fn entering(
+        &self,
+        middle_px: DVec2,
+        scene: &Scene,
+        (law, beams): (EmissionLaw, &BeamField),
+    ) -> (Displaced, f64) {
+        let displaced = self.source(middle_px);
+        // The pupil is that of the place at rest, the emission that of the turned eye.
+        let at_rest = scene.tangent(middle_px - displaced.apart);
+        (displaced, displaced.light * entering(law, beams, at_rest))
     }
 
     /// The cones as they see the screen, and the light of each over that at rest.
     pub fn cones(&self, table: &ConeTable) -> (ConeTable, Vec<f64>) {
-        use rayon::prelude::*;
         let moved = |cone: &MappedCone| {
             let corners = &cone.polygon_px;
             let centre = corners.iter().sum::<DVec2>() / corners.len().max(1) as f64;

@@ -162,8 +162,8 @@ impl SchematicEye {
         })
     }
 
-    /// The nominal accommodation of an eye that looks at an object at a distance (mm) and a wavelength (nm): between none
-    /// and its amplitude (D; `None`: what its law allows). Nothing lets an eye see sharply beyond its far point.
+    /// The nominal accommodation of an eye that looks at an object at a distance (mm) and a wavelength (nm): between
+    /// none and its amplitude (D; `None`: what its law allows). Nothing lets an eye see sharply beyond its far point.
     ///
     /// # Errors
     /// As [`SchematicEye::accommodation_for`]; an object nearer than the law reaches.

@@ -72,7 +72,7 @@ impl BeamField {
             let (sin, cos) = math::sin_cos(angle_at(node, most));
             let across = math::unit(TAU * azimuth as f64 / AZIMUTHS as f64);
             let direction = DVec3::new(sin * across.x, sin * across.y, cos);
-            let vergence = vergence(projection.screen(), direction, &axes);
+            let vergence = vergence(projection, direction);
             Ok(eye.beam_mm2(Object::with_vergence(direction, vergence)?, nm)? / nominal)
         };
         let of_node = |node: usize| -> Result<[f64; AZIMUTHS - 1], OpticsError> {
@@ -92,10 +92,7 @@ impl BeamField {
     /// The beam from the point `t` of the screen over the nominal area of the entrance pupil.
     pub fn relative(&self, t: DVec2) -> f64 {
         // Direction of the light, its angle to the optical axis and its azimuth.
-        let [right, up, forward] = self.axes;
-        let way = self.screen.way(t);
-        let length = if self.screen.is_frontal() { 1.0_f64.hypot(t.length()) } else { way.length() };
-        let direction = (-way.z * forward - way.x * right - way.y * up) / length;
+        let (direction, _) = self.screen.light_from(t, self.axes);
         let across = direction.truncate();
         let angle = across.length().atan2(direction.z);
         let most = self.most;
@@ -122,14 +119,16 @@ impl BeamField {
     }
 }
 
-/// 1/distance of the point of a screen whose light travels along `direction` (eye frame), 1/mm; 0 where there is none.
-fn vergence(screen: &Screen, direction: DVec3, [right, up, forward]: &[DVec3; 3]) -> f64 {
+/// 1/distance of the point of the screen whose light travels along `direction` (eye frame), 1/mm; 0 where there is none.
+fn vergence(projection: &Projection, direction: DVec3) -> f64 {
+    let (screen, eye) = (projection.screen(), projection.eye());
     if screen.is_frontal() {
         // A flat screen is farther off by 1/cos of the angle to the line of sight.
-        return direction.dot(*forward).max(0.0) / screen.nominal_mm();
+        return direction.dot(eye.view_axes()[2]).max(0.0) / screen.nominal_mm();
     }
-    let along = -DVec3::new(direction.dot(*right), direction.dot(*up), direction.dot(*forward));
-    screen.met_by(DVec3::ZERO, along).map_or(0.0, |t| 1.0 / screen.distance_mm(t).max(NEAREST_MM))
+    screen
+        .met_by(DVec3::ZERO, -eye.in_view(direction))
+        .map_or(0.0, |t| 1.0 / screen.distance_mm(t).max(NEAREST_MM))
 }
 
 /// Mean, and cosine and sine of each harmonic below the highest, of values at even steps of the azimuth.

@@ -9,11 +9,11 @@
 use glam::{DQuat, DVec2, DVec3};
 
 use super::SchematicEye;
-use super::screen::{Place, Screen};
+use super::screen::{Oblique, Screen};
 
 /// Where a screen stands before the head.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stand {
+pub struct ScreenPose {
     /// Distance of the corneal apex from the point straight ahead, mm.
     pub distance_mm: f64,
     /// How far the top leans away from the viewer, degrees.
@@ -44,35 +44,28 @@ pub fn listing(sight: DVec3) -> DQuat {
     DQuat::from_xyzw(sight.y, -sight.x, 0.0, 1.0 - sight.z).normalize()
 }
 
-/// Rotation centre of an eye in its view frame, mm.
-fn rotation_centre_mm(eye: &SchematicEye) -> DVec3 {
-    let [right, up, forward] = eye.view_axes();
-    let centre = eye.rotation_centre();
-    DVec3::new(centre.dot(right), centre.dot(up), centre.dot(forward))
-}
-
 impl Fixation {
     /// A screen across the line of sight, whatever point of it is fixated.
     pub fn frontal(eye: &SchematicEye, distance_mm: f64) -> Self {
         let screen = Screen::frontal(distance_mm);
-        Self { screen, turn: DQuat::IDENTITY, rotation_centre_mm: rotation_centre_mm(eye) }
+        Self { screen, turn: DQuat::IDENTITY, rotation_centre_mm: eye.in_view(eye.rotation_centre()) }
     }
 
     /// A screen that stands before the head; the fixated point is `offset_mm` to the right of and above the point
     /// straight ahead, measured on the screen. `None` when the eye does not see that point from the front.
-    pub fn new(eye: &SchematicEye, stand: &Stand, offset_mm: DVec2) -> Option<Self> {
-        let Stand { distance_mm, tilt_deg, turn_deg, curvature_per_mm } = *stand;
+    pub fn new(eye: &SchematicEye, pose: &ScreenPose, offset_mm: DVec2) -> Option<Self> {
+        let ScreenPose { distance_mm, tilt_deg, turn_deg, curvature_per_mm } = *pose;
         let is_flat_across = [tilt_deg, turn_deg, curvature_per_mm].iter().all(|v| v.abs() <= 0.0);
         if is_flat_across && offset_mm == DVec2::ZERO {
             return Some(Self::frontal(eye, distance_mm));
         }
 
-        // Place the screen before the head and find the fixated point.
+        // Oblique the screen before the head and find the fixated point.
         let stands =
             DQuat::from_rotation_y(turn_deg.to_radians()) * DQuat::from_rotation_x(-tilt_deg.to_radians());
         let (right, up) = (stands * DVec3::X, stands * DVec3::Y);
         let ahead =
-            Screen::placed(distance_mm, Place { fixated_mm: distance_mm, right, up, curvature_per_mm });
+            Screen::oblique(distance_mm, Oblique { fixated_mm: distance_mm, right, up, curvature_per_mm });
         let offset = offset_mm / distance_mm;
         if !ahead.faces_eye(offset) {
             return None;
@@ -81,7 +74,7 @@ impl Fixation {
         let along = DQuat::from_axis_angle(up, -curvature_per_mm * offset_mm.x);
 
         // Turn the eye: R (−C − r z) = F − C, with R by Listing's law and r the new distance.
-        let centre_mm = rotation_centre_mm(eye);
+        let centre_mm = eye.in_view(eye.rotation_centre());
         let from_centre = fixated_mm - centre_mm;
         let off_axis = centre_mm.truncate().length_squared();
         let distance = (from_centre.length_squared() - off_axis).max(0.0).sqrt() - centre_mm.z;
@@ -98,9 +91,9 @@ impl Fixation {
 
         // See the screen from the turned eye.
         let back = turn.inverse();
-        let place =
-            Place { fixated_mm: distance, right: back * (along * right), up: back * up, curvature_per_mm };
-        let screen = Screen::placed(distance_mm, place);
+        let oblique =
+            Oblique { fixated_mm: distance, right: back * (along * right), up: back * up, curvature_per_mm };
+        let screen = Screen::oblique(distance_mm, oblique);
         Some(Self { screen, turn, rotation_centre_mm: centre_mm })
     }
 

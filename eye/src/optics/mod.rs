@@ -40,7 +40,7 @@ pub use dispersion::Dispersion;
 pub use error::OpticsError;
 pub use field_fit::FieldFit;
 pub use field_rays::{FieldRay, field_ray, field_rays};
-pub use fixation::{Fixation, Stand};
+pub use fixation::{Fixation, ScreenPose};
 pub use object::Object;
 pub use prescription::{Prescription, Side};
 pub use projection::Projection;

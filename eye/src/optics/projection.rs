@@ -58,20 +58,14 @@ impl Projection {
 
     /// The object at the point `t` of the screen.
     pub fn object(&self, t: DVec2) -> Object {
-        let [right, up, forward] = self.axes;
-        let way = self.screen.way(t);
-        let length = if self.screen.is_frontal() { 1.0_f64.hypot(t.length()) } else { way.length() };
-        let direction = (-way.z * forward - way.x * right - way.y * up) / length;
+        let (direction, length) = self.screen.light_from(t, self.axes);
         Object::from_parts(direction, 1.0 / (self.screen.nominal_mm() * length))
     }
 
     /// The ray of object space that goes to the retina where the point `t` is imaged, in the view frame: the point,
     /// over the nominal distance, and the direction from the entrance pupil's centre to it.
     pub fn line_to(&self, t: DVec2) -> [DVec3; 2] {
-        let [right, up, forward] = self.axes;
-        let pupil = self.eye.entrance_pupil;
-        let pupil =
-            DVec3::new(pupil.dot(right), pupil.dot(up), pupil.dot(forward)) / self.screen.nominal_mm();
+        let pupil = self.eye.in_view(self.eye.entrance_pupil) / self.screen.nominal_mm();
         let way = self.screen.way(t);
         [way, way - pupil]
     }

@@ -235,6 +235,11 @@ impl SchematicEye {
         )
     }
 
+    /// Components of a vector of the eye frame along the axes of the view frame ([`super::screen`]).
+    pub fn in_view(&self, v: DVec3) -> DVec3 {
+        DVec3::from_array(self.view_axes().map(|axis| v.dot(axis)))
+    }
+
     /// Unit vectors of the viewer's right, the viewer's up and the way the light of the fixated point travels, in the
     /// eye frame.
     pub fn view_axes(&self) -> [DVec3; 3] {

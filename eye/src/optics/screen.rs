@@ -24,12 +24,12 @@ pub struct Screen {
     /// Nominal viewing distance D, mm.
     nominal_mm: f64,
     /// `None`: across the line of sight at that distance.
-    place: Option<Place>,
+    oblique: Option<Oblique>,
 }
 
 /// A screen that is not across the line of sight, or curved.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Place {
+pub struct Oblique {
     /// Distance of the fixated point from the corneal apex, mm.
     pub fixated_mm: f64,
     /// Unit vector along the screen's rows at the fixated point, to the right.
@@ -40,7 +40,7 @@ pub struct Place {
     pub curvature_per_mm: f64,
 }
 
-impl Place {
+impl Oblique {
     /// The normal at the fixated point, towards the viewer.
     fn normal(&self) -> DVec3 {
         self.right.cross(self.up)
@@ -50,17 +50,17 @@ impl Place {
 impl Screen {
     /// A flat screen across the line of sight, the fixated point at `distance_mm` (may be infinite).
     pub fn frontal(distance_mm: f64) -> Self {
-        Self { nominal_mm: distance_mm, place: None }
+        Self { nominal_mm: distance_mm, oblique: None }
     }
 
     /// A screen in any place; `nominal_mm` is the unit of its coordinates.
-    pub fn placed(nominal_mm: f64, place: Place) -> Self {
-        Self { nominal_mm, place: Some(place) }
+    pub fn oblique(nominal_mm: f64, oblique: Oblique) -> Self {
+        Self { nominal_mm, oblique: Some(oblique) }
     }
 
     /// Whether it is flat and across the line of sight.
     pub fn is_frontal(&self) -> bool {
-        self.place.is_none()
+        self.oblique.is_none()
     }
 
     /// Nominal viewing distance D, mm.
@@ -70,15 +70,15 @@ impl Screen {
 
     /// Distance of the fixated point from the corneal apex, mm.
     pub fn fixated_mm(&self) -> f64 {
-        self.place.map_or(self.nominal_mm, |place| place.fixated_mm)
+        self.oblique.map_or(self.nominal_mm, |oblique| oblique.fixated_mm)
     }
 
     /// The way from the corneal apex to the point `t`, over D.
     pub fn way(&self, t: DVec2) -> DVec3 {
-        let Some(place) = self.place else { return DVec3::new(t.x, t.y, -1.0) };
-        let origin = DVec3::new(0.0, 0.0, -place.fixated_mm / self.nominal_mm);
+        let Some(oblique) = self.oblique else { return DVec3::new(t.x, t.y, -1.0) };
+        let origin = DVec3::new(0.0, 0.0, -oblique.fixated_mm / self.nominal_mm);
         // Chord along the rows and depth towards the viewer of an arc of length t.x.
-        let curvature = place.curvature_per_mm * self.nominal_mm;
+        let curvature = oblique.curvature_per_mm * self.nominal_mm;
         let turn = curvature * t.x;
         let (along, depth) = if curvature > 0.0 {
             let half = math::sin_cos(0.5 * turn).0;
@@ -86,7 +86,15 @@ impl Screen {
         } else {
             (t.x, 0.0)
         };
-        origin + along * place.right + t.y * place.up + depth * place.normal()
+        origin + along * oblique.right + t.y * oblique.up + depth * oblique.normal()
+    }
+
+    /// Unit vector in which light of the point `t` travels to the corneal apex, in a frame of which the view frame's axes are
+    /// given, and its distance over D.
+    pub(super) fn light_from(&self, t: DVec2, [right, up, forward]: [DVec3; 3]) -> (DVec3, f64) {
+        let way = self.way(t);
+        let length = if self.is_frontal() { 1.0_f64.hypot(t.length()) } else { way.length() };
+        ((-way.z * forward - way.x * right - way.y * up) / length, length)
     }
 
     /// Distance of the point `t` from the corneal apex, mm.
@@ -105,9 +113,9 @@ impl Screen {
 
     /// The normal at the point `t`, towards the viewer.
     pub fn normal(&self, t: DVec2) -> DVec3 {
-        let Some(place) = self.place else { return DVec3::Z };
-        let (sin, cos) = math::sin_cos(place.curvature_per_mm * self.nominal_mm * t.x);
-        cos * place.normal() - sin * place.right
+        let Some(oblique) = self.oblique else { return DVec3::Z };
+        let (sin, cos) = math::sin_cos(oblique.curvature_per_mm * self.nominal_mm * t.x);
+        cos * oblique.normal() - sin * oblique.right
     }
 
     /// (D / distance of the point `t` from the corneal apex)².
@@ -150,16 +158,16 @@ impl Screen {
 
     /// The point that a ray from `from` (over D) along `along` meets first from the front; `None` when it meets none.
     pub fn met_by(&self, from: DVec3, along: DVec3) -> Option<DVec2> {
-        let Some(place) = self.place else {
+        let Some(oblique) = self.oblique else {
             let steps = -(1.0 + from.z) / along.z;
             return (steps > 0.0 && along.z < 0.0).then(|| (from + steps * along).truncate());
         };
         // Coordinates along the rows, the columns and the normal, from the fixated point.
-        let axes = [place.right, place.up, place.normal()];
+        let axes = [oblique.right, oblique.up, oblique.normal()];
         let own = |v: DVec3| DVec3::from_array(axes.map(|axis| axis.dot(v)));
-        let from = own(from + DVec3::new(0.0, 0.0, place.fixated_mm / self.nominal_mm));
+        let from = own(from + DVec3::new(0.0, 0.0, oblique.fixated_mm / self.nominal_mm));
         let along = own(along);
-        let curvature = place.curvature_per_mm * self.nominal_mm;
+        let curvature = oblique.curvature_per_mm * self.nominal_mm;
         if curvature <= 0.0 {
             let steps = -from.z / along.z;
             return (steps > 0.0 && along.z < 0.0).then(|| (from + steps * along).truncate());
@@ -178,7 +186,7 @@ impl Screen {
 
     /// Whether a pixel can be seen: whether it faces the eye. `t` is the place of the pixel.
     pub fn faces_eye(&self, t: DVec2) -> bool {
-        let turn = self.place.map_or(0.0, |place| place.curvature_per_mm * self.nominal_mm * t.x);
+        let turn = self.oblique.map_or(0.0, |oblique| oblique.curvature_per_mm * self.nominal_mm * t.x);
         turn.abs() < FRAC_PI_2 && self.emission_cosine(t) > 0.0
     }
 }
@@ -191,7 +199,7 @@ mod tests {
     fn turned(curvature_per_mm: f64) -> Screen {
         let turn = DQuat::from_rotation_y(0.3) * DQuat::from_rotation_x(-0.2);
         let (right, up) = (turn * DVec3::X, turn * DVec3::Y);
-        Screen::placed(600.0, Place { fixated_mm: 640.0, right, up, curvature_per_mm })
+        Screen::oblique(600.0, Oblique { fixated_mm: 640.0, right, up, curvature_per_mm })
     }
 
     /// Way and ray are inverse to each other, from the apex and from beside it.
@@ -229,8 +237,9 @@ mod tests {
     /// A cylinder about the eye: all points of a row are as far off and face the eye.
     #[test]
     fn a_cylinder_about_the_eye_is_equally_far() {
-        let place = Place { fixated_mm: 500.0, right: DVec3::X, up: DVec3::Y, curvature_per_mm: 1.0 / 500.0 };
-        let screen = Screen::placed(500.0, place);
+        let oblique =
+            Oblique { fixated_mm: 500.0, right: DVec3::X, up: DVec3::Y, curvature_per_mm: 1.0 / 500.0 };
+        let screen = Screen::oblique(500.0, oblique);
         for x in [-1.2, -0.3, 0.0, 0.7] {
             let t = DVec2::new(x, 0.0);
             assert!((screen.distance_mm(t) - 500.0).abs() < 1e-9);

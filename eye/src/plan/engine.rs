@@ -199,6 +199,7 @@ fn own_cost(
     let waves = tiles.first().map_or(0, |t| t.kernels.nodes_nm.len()) as f64;
     let ready = cones * SECONDS_PER_READY_CONE;
     match engine {
+        // Images of the grid, and a sum a cone.
         Engine::Expected => {
             let samples: f64 = tiles.iter().map(|t| t.scene.samples.iter().product::<usize>() as f64).sum();
             let primaries = super::lit::computed_primaries(experiment);
@@ -211,6 +212,7 @@ fn own_cost(
                 frame: light + of(SECONDS_PER_SAMPLE) + cones * images / IMAGES * SECONDS_PER_MEAN,
             }
         }
+        // Tables to draw from, then pixels and photons.
         Engine::Events => {
             let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0).powi(TABLE_POWERS[0]);
             let pixels = pixels_of(tiles);
@@ -223,6 +225,7 @@ fn own_cost(
                     + cones * SECONDS_PER_COUNT,
             }
         }
+        // Sums over rays, then every photon.
         Engine::Paper => {
             let rays = f64::from(experiment.counts.paper.rays) / 1024.0;
             let side = f64::from(experiment.counts.paper.samples) / 128.0;

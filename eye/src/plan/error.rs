@@ -166,18 +166,25 @@ pub fn estimate(
     tiles: &[PlannedTile],
     wavelengths: &Wavelengths,
 ) -> Vec<ErrorPart> {
+    let mut parts = match experiment.counts.engine {
+        Engine::Expected => expected(experiment, setup, tiles, wavelengths),
+        Engine::Events => drawn(experiment, wavelengths),
+        Engine::Paper => paper(experiment, tiles, wavelengths),
+    };
+    let turned = turn_part(experiment, setup, tiles);
+    parts.push(ErrorPart { part: "turn of the eye before the screen".into(), relative: turned });
+    parts
+}
+
+/// The parts of the estimate of `expected`.
+fn expected(
+    experiment: &Experiment,
+    setup: &Setup,
+    tiles: &[PlannedTile],
+    wavelengths: &Wavelengths,
+) -> Vec<ErrorPart> {
     let part = |part: &str, relative: f64| ErrorPart { part: part.into(), relative };
     let numerics = Numerics::new(experiment);
-    if experiment.counts.engine == Engine::Events {
-        let mut parts = drawn(experiment, wavelengths);
-        parts.push(part("turn of the eye before the screen", turn_part(experiment, setup, tiles)));
-        return parts;
-    }
-    if experiment.counts.engine == Engine::Paper {
-        let mut parts = paper(experiment, tiles, wavelengths);
-        parts.push(part("turn of the eye before the screen", turn_part(experiment, setup, tiles)));
-        return parts;
-    }
     let limited = tiles.iter().any(|t| t.scene.band < setup.cutoff(experiment));
     let pupil = (experiment.eye.pupil_mm / 3.0).max(1.0);
     // A line needs no steps.
@@ -196,7 +203,6 @@ pub fn estimate(
         part("period", copies_part(experiment, tiles)),
         part("band limit", if limited { BAND * band_bound(experiment) } else { 1e-7 }),
         part("grid", sparse(experiment) * grid),
-        part("turn of the eye before the screen", turn_part(experiment, setup, tiles)),
         part("time segments", if turns { 0.1 * crate::exposure::SCAN_BLUR } else { 0.0 }),
         part("Poisson draws", 0.0),
     ]

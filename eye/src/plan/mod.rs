@@ -5,6 +5,7 @@ mod band;
 mod cost;
 pub mod engine;
 mod error;
+pub mod focus;
 pub mod largest;
 mod lit;
 mod numerics;
@@ -34,10 +35,11 @@ use crate::exposure::spectral::Absorbers;
 use crate::media::Media;
 use crate::retina::{RegionUm, tiles_for};
 pub use cost::{Machine, Stages};
+use focus::Focused;
 pub use numerics::{Knobs, Numerics};
 pub use rules::Rule;
 pub use seen::DisplaySeen;
-use setup::{Focused, Setup};
+use setup::Setup;
 
 /// What will be computed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -176,7 +178,7 @@ pub fn plan_on(experiment: &Experiment, machine: &Machine) -> Result<Plan, PlanE
     engine::check_list(experiment, &tiles)?;
     largest::check(experiment, &setup)?;
     let engine_reason = engine::reason(experiment, &setup, &tiles, cost.cones);
-    let focus = setup::focused(experiment)?;
+    let focus = focus::focused(experiment)?;
     let mut warnings = seen::warnings(experiment, &setup, &tiles);
     warnings.extend(seen::blur_warning(experiment, &focus));
     let count = tiles.len() as u32;

@@ -4,7 +4,8 @@
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
-use super::setup::{Focused, Setup, fixation};
+use super::focus::Focused;
+use super::setup::{Setup, fixation};
 use super::{PlanError, PlannedTile, lit};
 use crate::experiment::Experiment;
 use crate::video::ScreenView;
@@ -96,7 +97,7 @@ pub(super) fn warnings(experiment: &Experiment, setup: &Setup, tiles: &[PlannedT
     let [across, down] = view.pixel_deg();
     let away_deg = (away_px.x * across).hypot(away_px.y * down);
     vec![format!(
-        "retina.region_deg: no cone of the patch looks at a lit pixel, the nearest is {away_deg:.2}° away; see gaze.center_px, the \
-         signs of gaze.movement (x right, y up) and the patch"
+        "retina.region_deg: no cone of the patch looks at a lit pixel, the nearest is {away_deg:.2}° away; see \
+         gaze.center_px, the signs of gaze.movement (x right, y up) and the patch"
     )]
 }

@@ -5,15 +5,15 @@
 use std::sync::OnceLock;
 
 use glam::{DVec2, DVec3};
-use serde::{Deserialize, Serialize};
 
 use super::band::{Moduli, band};
+use super::focus::{focused_eye, relaxed};
 use super::{Numerics, PlanError, Rule};
 use crate::display::Placement;
 use crate::experiment::{Engine, Experiment, MAX_REGION_DEG, RangeError};
 use crate::exposure::scene::{MAX_GRID, Scene, SceneNeeds};
 use crate::movement::Gaze;
-use crate::optics::{EyeState, FieldFit, Fixation, Prescription, Projection, SchematicEye, Stand};
+use crate::optics::{EyeState, FieldFit, Fixation, Prescription, Projection, SchematicEye, ScreenPose};
 use crate::retina::{RegionUm, RetinaGeometry, RetinaParams};
 
 /// Retina beyond the picture's edge that is simulated because the picture's blur falls on it, µm.
@@ -114,8 +114,8 @@ fn fixation_of(experiment: &Experiment, eye: &SchematicEye) -> Result<Fixation, 
         return Ok(Fixation::frontal(eye, 10.0 * display.distance_cm));
     };
     let curvature_per_mm = curvature_radius_cm.map_or(0.0, |radius_cm| 0.1 / radius_cm);
-    let stand = Stand { distance_mm: 10.0 * display.distance_cm, tilt_deg, turn_deg, curvature_per_mm };
-    let found = Fixation::new(eye, &stand, display.offset_mm([x, y]));
+    let pose = ScreenPose { distance_mm: 10.0 * display.distance_cm, tilt_deg, turn_deg, curvature_per_mm };
+    let found = Fixation::new(eye, &pose, display.offset_mm([x, y]));
     let refused = |seen: String| {
         let allowed = format!(
             "a point at most {MOST_TURNED_DEG}° from straight ahead, which is [{}, {}] (display.eye_at_px){seen}; display.placement              FRONTAL has the screen face the eye at every gaze",
@@ -263,73 +263,6 @@ pub fn retina_geometry(prescription: &Prescription, state: &EyeState) -> Result<
     let FieldFit { visual, exit_pupil } = FieldFit::new(&eye).map_err(model)?;
     let radius_um = (eye.fovea().radius_mm * 1e6).round() / 1e3;
     Ok(RetinaGeometry { radius_um, exit_pupil, visual, ..RetinaGeometry::default() })
-}
-
-/// The prescription and the state in which it is focused as the experiment asks.
-fn focused_eye(experiment: &Experiment) -> Result<(Prescription, EyeState), PlanError> {
-    let eye = &experiment.eye;
-    let model = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
-    let prescription = eye.prescription().map_err(model)?;
-    let mut state = relaxed(experiment);
-    if eye.relaxed {
-        return Ok((prescription, state));
-    }
-    let distance_mm = eye.focus_distance_cm * 10.0;
-    state.accommodation_a = SchematicEye::accommodated(
-        &prescription,
-        &state,
-        (distance_mm, eye.focus_wavelength_nm),
-        eye.amplitude_d,
-    )
-    .map_err(model)?;
-    Ok((prescription, state))
-}
-
-/// How an eye is focused.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Focused {
-    /// Vergence of what the eye looks at, from the corneal apex, dioptres.
-    pub wanted_d: f64,
-    /// Vergence of the far point, which the unaccommodated eye has in focus; negative beyond infinity.
-    pub far_point_d: f64,
-    /// Accommodation: vergence in focus beyond that of the far point.
-    pub accommodation_d: f64,
-    /// Vergence in focus beyond what is wanted: positive in front of what the eye looks at, negative behind.
-    pub residual_d: f64,
-}
-
-/// How the eye of an experiment is focused, at the fovea.
-///
-/// # Errors
-/// When the optics refuse.
-pub fn focused(experiment: &Experiment) -> Result<Focused, PlanError> {
-    let model = |e: crate::optics::OpticsError| PlanError::Model(e.to_string());
-    let (prescription, state) = focused_eye(experiment)?;
-    let nm = experiment.eye.focus_wavelength_nm;
-    let in_focus_d = |state: &EyeState| -> Result<f64, PlanError> {
-        SchematicEye::new(&prescription, state).and_then(|eye| eye.focus_vergence_d(nm)).map_err(model)
-    };
-    let far_point_d = in_focus_d(&relaxed(experiment))?;
-    let in_focus = in_focus_d(&state)?;
-    let wanted_d = 100.0 / experiment.eye.focus_distance_cm;
-    Ok(Focused {
-        wanted_d,
-        far_point_d,
-        accommodation_d: in_focus - far_point_d,
-        residual_d: in_focus - wanted_d,
-    })
-}
-
-/// The state of the unaccommodated eye.
-fn relaxed(experiment: &Experiment) -> EyeState {
-    let eye = &experiment.eye;
-    EyeState {
-        pupil_mm: eye.pupil_mm,
-        decentre_mm: eye.decentre_mm,
-        accommodation_a: 0.0,
-        dispersion: eye.dispersion,
-        side: eye.side,
-    }
 }
 
 /// The patch of retina: fixed by the experiment, or what the picture, its blur and the movement cover.

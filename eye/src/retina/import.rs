@@ -34,8 +34,8 @@ use crate::rng::{Purpose, Stream};
 const CLOSE: f64 = 0.6 * RADIUS_FACTOR;
 /// Side of the largest bin of a search, µm.
 const LARGEST_BIN_UM: f64 = 25.0;
-/// Distance of a corner of a cell from the cone, spacings, beyond which the cell is open: at the rim or beside a gap. Corners
-/// of a hexagon are 0.58 away.
+/// Distance of a corner of a cell from the cone, spacings, beyond which the cell is open: at the rim or beside a gap.
+/// Corners of a hexagon are 0.58 away.
 const OPEN: f64 = 0.95;
 /// Nearest cones that give the spacing.
 const NEAREST: usize = 6;
@@ -89,13 +89,15 @@ pub fn import(csv: &str, params: &RetinaParams) -> Result<Retina, ImportError> {
 /// Distance and number of the nearest cones of a cone.
 type Nearest = Vec<(f64, u32)>;
 
-/// For a cone at the rim or beside a gap, whose cell is open, the median area of the cells (µm²) of those of its nearest cones that are
-/// not; where all are, the median of what they get. `None` for other cones, and for cones that know none.
+/// For a cone at the rim or beside a gap, whose cell is open, the median area of the cells (µm²) of those of its nearest
+/// cones that are inside; where none is, the median of what they get. `None` for cones inside, and for cones that know
+/// none.
 fn inner_areas(cones: &Relaxed, cells: &Cells, near: &[Nearest]) -> Vec<Option<f64>> {
     let n = near.len();
     let of_cell = |i: usize| area(cells.polygon(i)) * cones.metric[i].area_factor();
     let is_edge = |i: usize| {
-        // A cone at a straight rim has four neighbours at their spacing; where there are fewer the cell reaches its limit.
+        // A cone at a straight rim has four neighbours at their spacing; where there are fewer the cell reaches its
+        // limit.
         let spacing = near[i].get(3).map_or(cones.spacing[i], |(distance, _)| *distance);
         let across = |corner: &DVec2| cones.metric[i].length2(*corner - cones.at[i]).sqrt();
         let far = |corner: &DVec2| across(corner) > OPEN * spacing;

@@ -122,8 +122,8 @@ pub fn decode_png(bytes: &[u8], limits: Limits) -> Result<Picture, DecodeError> 
         if alpha < 1.0 {
             let [column, row] = [number as u32 % info.width, number as u32 / info.width];
             let why = format!(
-                "pixel [{column}, {row}] is transparent (alpha {alpha:.3}), allowed are opaque pictures; flatten it over what \
-                 is to be seen behind"
+                "pixel [{column}, {row}] is transparent (alpha {alpha:.3}), allowed are opaque pictures; flatten \
+                 it over what is to be seen behind"
             );
             return Err(DecodeError::Unstated(why));
         }

@@ -268,6 +268,7 @@ mod tests {
                     ("420p10", [8, 2, 2], 10),
                     ("444p12", [8, 8, 8], 12),
                 ] {
+                    // Make the planes of one colour.
                     let rgb = [0.9, 0.2, 0.6];
                     let y = kr * rgb[0] + (1.0 - kr - kb) * rgb[1] + kb * rgb[2];
                     let ycc: [f64; 3] = [y, 0.5 * (rgb[2] - y) / (1.0 - kb), 0.5 * (rgb[0] - y) / (1.0 - kr)];
@@ -289,6 +290,7 @@ mod tests {
                             }
                         }
                     }
+                    // Read them back.
                     let picture =
                         read(&film(&format!("W4 H2 F60:1 Ip A1:1 C{name}"), &planes), Yuv { matrix, range });
                     assert_eq!((picture.width, picture.height), (4, 2));

@@ -111,8 +111,8 @@ fn white_channel(spec: &v1::Display, primaries: &[Primary]) -> Result<Channel, F
     let is_white = |primary: &Primary| primary.channel == Channel::White;
     let is_mixed = primaries.iter().any(is_white) && !primaries.iter().all(is_white);
     if is_mixed && spec.white_driven_by.is_none() {
-        let message = "is missing: a white primary beside coloured ones is driven by the `MEAN` of red, green and blue or \
-                       by the `LEAST` of them";
+        let message = "is missing: a white primary beside coloured ones is driven by the `MEAN` of red, green and \
+                       blue or by the `LEAST` of them";
         return Err(FieldError::new(field, message));
     }
     Ok(match choice(field, spec.white_driven_by, W::Mean, W::as_str_name)? {

@@ -44,7 +44,7 @@ use super::primaries::Primaries;
 use super::scene::Scene;
 use super::source::{Layer, Projector};
 use super::stray::Veil;
-use super::turned::{Seen, Turn, Turning};
+use super::turned::{Displaced, Turn, Turning};
 use crate::display::EmissionLaw;
 use crate::experiment::Experiment;
 use crate::exposure::Photon;
@@ -212,11 +212,6 @@ impl Events {
         Ok(Drawn { counts: sum.counts, means, photons: sum.drawn, list })
     }
 
-    /// Light of a place of the window (pixels) that meets the pupil of an eye at rest, relative to the gaze centre.
-    fn entering(&self, px: DVec2) -> f64 {
-        super::cones::entering(self.law, &self.beams, self.scene.tangent(px))
-    }
-
     /// Pixels along the side of a block.
     fn block_px(&self) -> usize {
         ((BLOCK_TANGENT / self.scene.tangent_per_px) as usize).clamp(1, BLOCK)
@@ -236,6 +231,7 @@ impl Events {
         [number, block]: [usize; 2],
         (stage, tally): (&mut Stage, &mut Tally),
     ) {
+        // Take the light of the block's pixels, each where the turned eye sees it.
         let [width, height] = self.scene.size_px.map(|size| size as usize);
         let (side, across) = (self.block_px(), self.blocks()[0]);
         let (left, top) = (block % across * side, block / across * side);
@@ -249,21 +245,22 @@ impl Events {
             if light <= 0.0 {
                 return None;
             }
-            let (seen, entering) = turn.map_or((Seen::AT_REST, self.slant[pixel]), |turn| {
+            let (displaced, entering) = turn.map_or((Displaced::AT_REST, self.slant[pixel]), |turn| {
                 let middle = corner + 0.5 - 0.5 * (bounds[0] + bounds[1]);
-                let seen = turn.seen(middle);
-                (seen, seen.light * self.entering(middle - seen.apart))
+                turn.entering(middle, &self.scene, (self.law, &self.beams))
             });
-            let (corner, light) = (corner - seen.apart, light * entering);
-            (light > 0.0).then(|| (light, self.landing.patch(&self.scene, (corner, seen.stretch), bounds)))
+            let (place, light) = ((corner - displaced.apart, displaced.stretch), light * entering);
+            (light > 0.0).then(|| (light, self.landing.patch(&self.scene, place, bounds)))
         }));
         if block_of_light.is_dark() {
             return;
         }
+        // Find the cones that it falls on.
         let corner = self.scene.tangent(DVec2::new(left as f64, top as f64) - 0.5 * (bounds[0] + bounds[1]));
         let origin = self.index.origin(self.landing.um(corner));
         let cones = (&self.index, origin, self.tables.field(&self.index, origin));
         let piece = Piece::new(&projector.emitters[*primary], sight, block_of_light, cones);
+        // Draw photons near each wavelength, with a stream of their own.
         for wave in 0..self.tables.waves() {
             let rate = self.tables.most(*primary, wave);
             if rate <= 0.0 {

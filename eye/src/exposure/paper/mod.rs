@@ -32,7 +32,7 @@ use crate::exposure::scene::Scene;
 use crate::exposure::source::Projector;
 use crate::exposure::spectral::{Absorbers, Paths};
 use crate::exposure::stray::Veil;
-use crate::exposure::turned::{Seen, Turn, Turning};
+use crate::exposure::turned::{Displaced, Turn, Turning};
 use crate::optics::{BeamField, Projection};
 use crate::report::PhotonBudget;
 use crate::retina::{ConeIndex, ConeType};
@@ -112,6 +112,7 @@ impl Paper {
     pub fn new(experiment: &Experiment, inputs: &Inputs, table: &ConeTable) -> Result<Self, String> {
         let Inputs { retina, projection, scene, pointing, primaries, .. } = inputs;
         let Primaries { kernels, projector } = primaries;
+        // Take what each cone does with photons.
         let absorbers = kernels.spec().absorbers()?;
         let columns = crate::exposure::cone_columns(experiment, retina)?;
         let cones = (0..retina.len())
@@ -131,6 +132,7 @@ impl Paper {
             let at = |c| absorbers.pigments.absorbance(cone_type, MIN_NM + CHANNEL_NM * c as f64);
             (0..CHANNELS).map(at).collect()
         });
+        // Lay nodes over the window, and find the channels that hold light.
         let step = experiment.counts.paper.node_um / UM_PER_TANGENT;
         let corner = |px: f64, py: f64| scene.tangent(DVec2::new(px, py));
         let (width, height) = (f64::from(scene.size_px[0]), f64::from(scene.size_px[1]));
@@ -162,6 +164,7 @@ impl Paper {
             reflects: experiment.eye.reflection_losses,
             scattered: veil.map(|veil| Scattered { veil, ids: retina.id.clone(), throughput }),
         };
+        // Compute the point spread of every node and channel.
         let apodize = experiment.eye.stiles_crawford_rho10_per_mm2;
         let jobs: Vec<(usize, usize)> =
             (0..nodes[0] * nodes[1]).flat_map(|node| (0..CHANNELS).map(move |c| (node, c))).collect();
@@ -264,16 +267,13 @@ impl Paper {
         let at = [self.scene.first_px[0] + column as u32, self.scene.first_px[1] + row as u32];
         let seconds = 1.0 / projector.display.frame_rate_hz;
         let corner = DVec2::new(column as f64, row as f64);
-        let (seen, entering) = turn.map_or((Seen::AT_REST, self.slant[pixel]), |turn| {
+        let (displaced, entering) = turn.map_or((Displaced::AT_REST, self.slant[pixel]), |turn| {
             let moved = projector.gaze.screen_tangent((f64::from(shown.index) + 0.5) * seconds);
             let moved_px = DVec2::new(moved.x, -moved.y) / self.scene.tangent_per_px;
-            let middle = corner + 0.5 - moved_px;
-            let seen = turn.seen(middle);
-            let at_rest = self.scene.tangent(middle - seen.apart);
-            let law = projector.display.emission_law;
-            (seen, seen.light * crate::exposure::cones::entering(law, &self.beams, at_rest))
+            let light = (projector.display.emission_law, &self.beams);
+            turn.entering(corner + 0.5 - moved_px, &self.scene, light)
         });
-        let corner = corner - seen.apart;
+        let corner = corner - displaced.apart;
         // On a scanned screen each pixel has a time of its own.
         let own = emitter.waveform.scan().map(|scan| {
             courses_at(emitter, &projector.display, shown.index, scan.delay(&projector.display, at))
@@ -282,7 +282,7 @@ impl Paper {
             let light = course.share() * light(&projector.display, emitter, course.shows, shown, at);
             let mean = light * emitter.emitted() * projector.pupil_share * entering;
             for _ in 0..crate::exposure::poisson::from_stream(stream, mean) as u64 {
-                let place = corner + 0.5 + seen.stretch * (Self::place(emitter, stream) - 0.5);
+                let place = corner + 0.5 + displaced.stretch * (Self::place(emitter, stream) - 0.5);
                 let time = (f64::from(shown.index) + course.time(stream.uniform())) * seconds;
                 let lands = self.scene.tangent(place) - projector.gaze.screen_tangent(time);
                 let uniform = stream.uniform();

@@ -54,14 +54,12 @@ impl<'a> Screen<'a> {
 
     /// Its direction, of any length; z away from the viewer.
     pub fn way(&self, px: DVec2) -> DVec3 {
-        let way = self.beams.screen().way(self.tangent(px));
-        DVec3::new(way.x, way.y, -way.z)
+        away(self.beams.screen().way(self.tangent(px)))
     }
 
     /// The point of the display in a direction, pixels; `None` when none is there.
     fn px_in(&self, way: DVec3) -> Option<DVec2> {
-        let along = DVec3::new(way.x, way.y, -way.z);
-        self.beams.screen().met_by(DVec3::ZERO, along).map(|tangent| self.px(tangent))
+        self.beams.screen().met_by(DVec3::ZERO, away(way)).map(|tangent| self.px(tangent))
     }
 
     /// Light of a point of the display that enters the pupil, relative to the gaze centre.
@@ -88,6 +86,11 @@ impl<'a> Screen<'a> {
         let nearest = places.map(|place| self.way(size * place).length()).fold(f64::MAX, f64::min);
         from_gaze * nearest
     }
+}
+
+/// Between the view frame, whose z is towards the viewer, and one whose z is away: its own inverse.
+pub fn away(way: DVec3) -> DVec3 {
+    DVec3::new(way.x, way.y, -way.z)
 }
 
 /// Angle between two directions, degrees.

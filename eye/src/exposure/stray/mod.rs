@@ -37,7 +37,7 @@ use super::source::Projector;
 use super::spectral::ARRIVING;
 use crate::experiment::{Experiment, StrayLight};
 use angle::Scatter;
-use chart::{Chart, Screen};
+use chart::{Chart, Screen, away};
 use far::Far;
 use near::Near;
 
@@ -171,8 +171,7 @@ impl Veil {
     /// Direction of a point of the display, pixels.
     fn scene_way(&self, px: DVec2) -> glam::DVec3 {
         let first = DVec2::new(f64::from(self.scene.first_px[0]), f64::from(self.scene.first_px[1]));
-        let way = self.screen.way(self.scene.tangent(px - first));
-        glam::DVec3::new(way.x, way.y, -way.z)
+        away(self.screen.way(self.scene.tangent(px - first)))
     }
 }
 
