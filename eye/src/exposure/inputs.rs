@@ -91,7 +91,7 @@ impl Inputs {
 }
 
 /// Share of the accuracy target below which what the eye's turn changes inside a tile is left out. It is the most that
-/// fine squares at the tile's corner change in any frame; the mean over the tile and the frames is about a sixth.
+/// fine squares at the tile's corner change in any frame; the mean over the tile and the frames is less.
 const TURNING_SHARE: f64 = 0.5;
 
 impl Inputs {

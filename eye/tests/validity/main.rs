@@ -13,6 +13,8 @@ mod events;
 mod media;
 mod paper;
 mod pupil;
+
+mod screens;
 mod source;
 mod stray;
 #[path = "../support/mod.rs"]
