@@ -305,10 +305,14 @@ pub fn refuse(
         needed = total(&parts);
     }
     let least = tried.accuracy_target;
+    let largest = parts.iter().max_by(|a, b| a.relative.total_cmp(&b.relative));
+    let why = largest.map_or_else(String::new, |part| format!(", where most of the error is: {}", part.part));
     let allowed = if least > MOST {
-        "none with counts.engine EXPECTED for this scene: its light is spread too widely; take EVENTS or a smaller eye.pupil_mm".to_owned()
+        format!(
+            "none with counts.engine EXPECTED for this scene{why}; take EVENTS, a smaller eye.pupil_mm or less movement"
+        )
     } else {
-        format!("{least:.1e} to {MOST} for this scene")
+        format!("{least:.1e} to {MOST} for this scene{why}")
     };
     Err(RangeError::new("accuracy.target", experiment.accuracy_target, &allowed).into())
 }

@@ -3,6 +3,7 @@
 
 use photoneye_eye::display::{EmissionLaw, Placement, White};
 use photoneye_eye::experiment::{Engine, Experiment, Gaze, Movement, Pattern};
+use photoneye_eye::exposure::Memo;
 use photoneye_eye::exposure::audit::{Verdict, verdict};
 
 use crate::source::{Prepared, scene};
@@ -109,4 +110,21 @@ fn photons_of_an_eye_that_turns() {
     let lower = found.lower_bound_95.unwrap();
     println!("EVENTS: audit {:.1e}, at least {lower:.1e}", found.relative_error);
     assert!(lower < 3e-3, "{lower}");
+}
+
+/// What is kept from one frame to the next changes no bit of it.
+#[test]
+fn frames_do_not_depend_on_those_before() {
+    let mut experiment = before(FLAT, ([1140.5, 300.5], 0.0), ONE_PIXEL);
+    experiment.gaze.movement = Movement::Drift { speed_arcmin_per_s: 600.0, direction_deg: 30.0 };
+    experiment.counts.knobs.double_precision = Some(true);
+    experiment.frames = 4;
+    let prepared = Prepared::new(&experiment);
+    let mut memo = Memo::default();
+    // Forth, twice the same and back.
+    for index in [0, 1, 1, 2, 3, 0] {
+        let going_on = prepared.exposure.frame_going_on(index, (None, &[]), &mut memo).unwrap().counts;
+        let alone = prepared.exposure.frame(index, None).unwrap().counts;
+        assert_eq!(going_on, alone, "{index}");
+    }
 }
