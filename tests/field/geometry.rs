@@ -166,8 +166,9 @@ fn the_eye_turns_about_its_rotation_centre() {
     }
 }
 
-/// A turn of 1° of an eye that looks 24° aside: before a flat screen places beside the middle of a patch move by more or
-/// less, and the light changes. With one movement for all cones squares of one pixel were off by 23 %.
+/// A turn of 0.9° of an eye that looks 24° aside: before a flat screen places beside the middle of a patch move by more or
+/// less, and the light changes. With one movement for all cones squares of one pixel were off by 23 %
+/// at 1°.
 #[test]
 fn each_cone_sees_the_screen_move_by_its_own_amount() {
     let place = tempdir().unwrap();
@@ -175,10 +176,9 @@ fn each_cone_sees_the_screen_move_by_its_own_amount() {
     experiment["eye"]["pupil_mm"] = json!(3);
     experiment["video"] = json!({"pattern": {"checkerboard": {"square_px": 1}}});
     experiment["gaze"]["movement"] =
-        json!({"recorded": {"t_s": [0, 1], "x_arcmin": [60, 60], "y_arcmin": [20, 20]}});
+        json!({"recorded": {"t_s": [0, 1], "x_arcmin": [50, 50], "y_arcmin": [15, 15]}});
     experiment["retina"] = json!({"region_deg": {"x_min": -1, "x_max": 1, "y_min": -0.6, "y_max": 0.6}});
-    // The plan expects 1.1 % of so large a turn; the audit finds less.
-    experiment["accuracy"] = json!({"audit_cones": 30, "target": 0.02});
+    experiment["accuracy"]["audit_cones"] = json!(30);
     let output = run(place.path(), &experiment);
     assert!(output.status.success(), "{}", texts(&output).1);
     let report = fs::read(place.path().join("out/report.json")).unwrap();
