@@ -72,12 +72,12 @@ fn pixels_of_any_size() {
     assert!(point > 0.0 && (point / pixel - 1.0).abs() < 1e-3, "{point} {pixel}");
 }
 
-/// 4096 x 4096 pixels: planned within a second and 4 GB when they are fine, refused by name when they are a hemisphere, and a patch of them runs.
+/// 8192 x 8192 pixels: planned within a second and 4 GB when they are fine, refused by name when they are a hemisphere, and a patch of them runs.
 #[test]
 fn the_largest_display_is_planned_or_refused() {
     let mut experiment = small(Pattern::Checkerboard { square_px: 64 });
-    (experiment.display.width_px, experiment.display.height_px) = (4096, 4096);
-    experiment.gaze = Gaze::still([2048.0, 2048.0]);
+    (experiment.display.width_px, experiment.display.height_px) = (8192, 8192);
+    experiment.gaze = Gaze::still([4096.0, 4096.0]);
     let started = std::time::Instant::now();
     for (pitch_cm, whole_screen) in [(0.01, true), (0.58, false)] {
         experiment.display.pixel_pitch_cm = pitch_cm;

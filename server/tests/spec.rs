@@ -184,7 +184,7 @@ fn errors_name_the_field_and_what_is_allowed() {
         (
             "display",
             json!({"preset": "lcos-3chip", "width_px": 0}),
-            "display.width_px: 0 is out of range, allowed is 1 to 4096",
+            "display.width_px: 0 is out of range, allowed is 1 to 8192",
         ),
         (
             "display",

@@ -7,6 +7,7 @@
 use std::path::Path;
 
 use photoneye_eye::catalog;
+use photoneye_eye::display::MOST_SIDE_PX;
 use serde_json::{Map, Value, json};
 
 use super::Context;
@@ -76,13 +77,7 @@ fn imported(file: &Path, name: Option<&str>, spectra_of: &str) -> Result<Value, 
 }
 
 fn converted(entry: &Map<String, Value>, spectra_of: &str) -> Result<Value, String> {
-    let number = |field: &str| match entry.get(field) {
-        None | Some(Value::Null) => Ok(None),
-        Some(value) => match value.as_f64().filter(|v| v.is_finite() && *v >= 0.0) {
-            Some(number) => Ok(Some(number)),
-            None => Err(format!("{field}: {value} is not a number of 0 or more")),
-        },
-    };
+    let number = |field: &str| number_of(entry, field);
     let needed = |field: &str| number(field)?.filter(|v| *v > 0.0).ok_or(format!("{field}: is missing or 0"));
     let size: Option<Vec<f64>> = entry
         .get("resolution")
@@ -92,8 +87,11 @@ fn converted(entry: &Map<String, Value>, spectra_of: &str) -> Result<Value, Stri
         return Err("resolution: expected two numbers".into());
     };
     let (width, height) = (*width, *height);
-    if !((1.0..=4096.0).contains(&width) && (1.0..=4096.0).contains(&height)) {
-        return Err(format!("resolution: {width} x {height} is out of range, allowed is 1 to 4096"));
+    let sides = 1.0..=f64::from(MOST_SIDE_PX);
+    if !(sides.contains(&width) && sides.contains(&height)) {
+        return Err(format!(
+            "resolution: {width} x {height} is out of range, allowed is 1 to {MOST_SIDE_PX}"
+        ));
     }
     let distance_cm = match (number("viewing_distance_meters")?, number("viewing_distance_inches")?) {
         (Some(metres), _) => 100.0 * metres,
@@ -121,6 +119,8 @@ fn converted(entry: &Map<String, Value>, spectra_of: &str) -> Result<Value, Stri
         (None, Some(black)) if black > 0.0 => Some(white / black),
         _ => None,
     };
+    let colorspace = entry.get("colorspace").and_then(Value::as_str).unwrap_or("sRGB");
+    let transfer = transfer(colorspace)?;
     let mut display = json!({
         "preset": spectra_of,
         "width_px": width,
@@ -128,8 +128,11 @@ fn converted(entry: &Map<String, Value>, spectra_of: &str) -> Result<Value, Stri
         "pixel_pitch_cm": diagonal_cm / width.hypot(height),
         "distance_cm": distance_cm,
         "white_luminance_cd_m2": white,
-        "transfer": transfer(entry.get("colorspace").and_then(Value::as_str).unwrap_or("sRGB"))?,
+        "transfer": transfer,
     });
+    if transfer == "HLG" {
+        display["hlg_system_gamma"] = json!(hlg_system_gamma(white, number("E_ambient")?));
+    }
     if let Some(contrast) = contrast {
         display["contrast"] = json!(contrast.clamp(1.0, 1e9));
     }
@@ -138,30 +141,53 @@ fn converted(entry: &Map<String, Value>, spectra_of: &str) -> Result<Value, Stri
         display["ambient"] = json!({"illuminance_lux": lux, "reflectance": reflectance});
     }
     let name = entry.get("name").and_then(Value::as_str).unwrap_or("a display");
-    display["description"] =
-        json!(format!("{name}, as in a file of ColorVideoVDP; spectra and pixels of {spectra_of}"));
+    // There linear values are in cd/m².
+    let linear =
+        if transfer == "LINEAR" { format!("; linear values are over {white} cd/m²") } else { String::new() };
+    display["description"] = json!(format!(
+        "{name}, as in a file of ColorVideoVDP; spectra and pixels of {spectra_of}, not of {colorspace}{linear}"
+    ));
     Ok(display)
+}
+
+/// ColorVideoVDP's own law: 1.2 up to 1000 cd/m², beyond it BT.2100's, less with a bright surround (BBC WHP 369).
+fn hlg_system_gamma(white_cd_m2: f64, surround_lux: Option<f64>) -> f64 {
+    if white_cd_m2 <= 1000.0 {
+        return 1.2;
+    }
+    let surround = surround_lux.filter(|lux| *lux > 0.0).map_or(0.0, |lux| 0.07623 * (lux / 5.0).log10());
+    1.2 + 0.42 * (white_cd_m2 / 1000.0).log10() - surround
+}
+
+/// A number of 0 or more of an entry, if it has the field.
+fn number_of(entry: &Map<String, Value>, field: &str) -> Result<Option<f64>, String> {
+    match entry.get(field) {
+        None | Some(Value::Null) => Ok(None),
+        Some(value) => match value.as_f64().filter(|v| v.is_finite() && *v >= 0.0) {
+            Some(number) => Ok(Some(number)),
+            None => Err(format!("{field}: {value} is not a number of 0 or more")),
+        },
+    }
 }
 
 /// The transfer of a colour space: ColorVideoVDP shows BT.709 by the law of sRGB.
 fn transfer(colorspace: &str) -> Result<&'static str, String> {
     let lower = colorspace.to_lowercase();
     let has = |words: &[&str]| words.iter().any(|word| lower.contains(word));
-    let known = "sRGB, P3, BT.709, BT.1886, PQ and linear";
     if has(&["hlg"]) {
-        Err(format!(
-            "colorspace: `{colorspace}` has the transfer HLG, which is not served; served are {known}"
-        ))
+        Ok("HLG")
     } else if has(&["pq"]) {
         Ok("PQ")
-    } else if has(&["linear"]) {
+    } else if has(&["linear", "luminance"]) {
         Ok("LINEAR")
     } else if has(&["srgb", "p3", "709"]) {
         Ok("SRGB")
     } else if has(&["1886"]) {
         Ok("BT1886")
     } else {
-        Err(format!("colorspace: `{colorspace}` has no known transfer; known are {known}"))
+        Err(format!(
+            "colorspace: `{colorspace}` has no known transfer; known are sRGB, P3, BT.709, BT.1886, PQ, HLG and linear"
+        ))
     }
 }
 
@@ -189,9 +215,19 @@ mod tests {
     /// PQ stays absolute PQ, BT.709 is shown by the law of sRGB; a headset has an angle instead of a size.
     #[test]
     fn colour_spaces_and_headsets_keep_their_meaning() {
-        for (name, ours) in [("BT.2020-PQ", "PQ"), ("BT.709", "SRGB"), ("BT.2020-linear", "LINEAR")] {
+        for (name, ours) in
+            [("BT.2020-PQ", "PQ"), ("BT.2020-HLG", "HLG"), ("BT.709", "SRGB"), ("BT.2020-linear", "LINEAR")]
+        {
             assert_eq!(transfer(name), Ok(ours));
         }
+        // 1590 cd/m² and 10 lx: 1.2 + 0.42 log10(1.59) − 0.07623 log10(2).
+        let phone = json!({
+            "resolution": [2532, 1170], "viewing_distance_inches": 20, "diagonal_size_inches": 6.1,
+            "max_luminance": 1590, "E_ambient": 10, "colorspace": "BT.2020-HLG",
+        });
+        let display = converted(phone.as_object().unwrap(), "oled").unwrap();
+        let gamma = display["hlg_system_gamma"].as_f64().unwrap();
+        assert!((gamma - 1.261_64).abs() < 1e-4, "{gamma}");
         let headset = json!({
             "resolution": [1440, 1600], "viewing_distance_meters": 3, "fov_diagonal": 110, "max_luminance": 100,
         });
@@ -212,7 +248,6 @@ mod tests {
             ("viewing_distance_inches", Value::Null),
             ("max_luminance", json!(-1)),
             ("colorspace", json!("XYZ")),
-            ("colorspace", json!("BT.2020-HLG")),
             ("exposure", json!(4)),
         ] {
             let mut entry = whole.clone();

@@ -32,7 +32,7 @@ pub async fn run(context: Context, args: RunArgs) -> Result<(), Failure> {
     place.workers = Some(context.settings.workers(place.workers).max(1));
     let service = Service::open(&context.settings, place).await?;
     let client = &service.client;
-    let outcome = match submit(client, &mut experiment, context.json).await {
+    let outcome = match Box::pin(submit(client, &mut experiment, context.json)).await {
         Ok((job, progress)) => tokio::select! {
             outcome = complete(client, job.id(), progress, draft, args.pictures, context.json) => outcome,
             () = &mut stop => Err(cancel(client, job.id()).await),

@@ -13,7 +13,7 @@ use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 pub use emitter::{Emitter, PhotonSample, emitters, photon_shares, pupil_share, pupil_share_at};
-pub use panel::{Levels, Panel, Place, step, stepped};
+pub use panel::{Levels, Panel, Place, of_step, step, stepped};
 pub use scan::Scan;
 pub use transfer::{Curve, Transfer};
 pub use waveform::{FORGOTTEN, MAX_HISTORY, Part, Timing, Waveform, light_until};
@@ -25,9 +25,9 @@ use crate::spectrum::Spectrum;
 /// A display and how it is looked at.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Display {
-    /// Columns, 1 to 4096.
+    /// Columns, 1 to [`MOST_SIDE_PX`].
     pub width_px: u32,
-    /// Rows, 1 to 4096.
+    /// Rows, 1 to [`MOST_SIDE_PX`].
     pub height_px: u32,
     /// Distance between pixel centres, cm.
     pub pixel_pitch_cm: f64,
@@ -72,6 +72,8 @@ pub enum Placement {
     },
 }
 
+/// Most columns and most rows of a screen and of a picture.
+pub const MOST_SIDE_PX: u32 = 8192;
 /// Largest tilt and turn, degrees.
 const MOST_TURNED_DEG: f64 = 75.0;
 /// Largest angle of a curved screen's arc on either side of the point straight ahead, degrees.
@@ -136,6 +138,18 @@ pub enum Channel {
 }
 
 impl Channel {
+    /// What drives it of the light of red, green and blue.
+    pub(crate) fn of(self, [red, green, blue]: [f64; 3]) -> f64 {
+        match self {
+            Self::Red => red,
+            Self::Green => green,
+            Self::Blue => blue,
+            Self::White => (red + green + blue) / 3.0,
+            Self::Least => red.min(green).min(blue),
+            Self::Room => 0.0,
+        }
+    }
+
     /// Its place in a pixel's red, green and blue, if it is one of them.
     fn index(self) -> Option<usize> {
         match self {
@@ -172,8 +186,13 @@ impl Display {
     /// # Errors
     /// The first field that is out of range.
     pub fn validate(&self) -> Result<(), RangeError> {
-        check_range("display.width_px", f64::from(self.width_px), 1.0, 4096.0)?;
-        check_range("display.height_px", f64::from(self.height_px), 1.0, 4096.0)?;
+        check_range("display.width_px", f64::from(self.width_px), 1.0, f64::from(MOST_SIDE_PX))?;
+        check_range("display.height_px", f64::from(self.height_px), 1.0, f64::from(MOST_SIDE_PX))?;
+        match self.transfer {
+            Transfer::Gamma(exponent) => check_range("display.gamma", exponent, 0.5, 5.0)?,
+            Transfer::Hlg(Some(gamma)) => check_range("display.hlg_system_gamma", gamma, 0.5, 3.0)?,
+            _ => {}
+        }
         check_range("display.pixel_pitch_cm", self.pixel_pitch_cm, 1e-6, 1e4)?;
         check_range("display.distance_cm", self.distance_cm, 10.0, 1e5)?;
         self.validate_placement()?;
@@ -278,18 +297,34 @@ impl Display {
 
     /// The same for pixels of a row, `rgb[3·pixel + channel]`, the first of them at `place`.
     pub fn light_row(&self, channel: Channel, rgb: &[f32], place: Place, light: &mut [f64]) {
-        let pixels = light.iter_mut().zip(rgb.chunks_exact(3));
-        if self.panel.levels != Levels::Continuous || channel == Channel::Room {
-            for ((light, rgb), column) in pixels.zip(place.column..) {
+        let curve = self.curve();
+        let is_by_pixel = matches!(self.panel.levels, Levels::Planes { .. })
+            || channel == Channel::Room
+            || curve.joins_colours();
+        if is_by_pixel {
+            for ((light, rgb), column) in light.iter_mut().zip(rgb.chunks_exact(3)).zip(place.column..) {
                 *light = self.light(channel, rgb, Place { column, ..place });
             }
             return;
         }
         let (black, white) = (self.black, 1.0 - self.black);
-        let curve = self.curve();
+        let stepped_light = self.stepped_light(curve, light.len());
         let one = |i: usize, light: &mut [f64]| {
-            let values: Vec<f32> = rgb.chunks_exact(3).take(light.len()).map(|rgb| rgb[i]).collect();
-            curve.light_of_row(&values, light);
+            let values = rgb.chunks_exact(3).map(|rgb| rgb[i]);
+            match self.panel.levels {
+                Levels::Values { bits, dither } => {
+                    for ((light, value), column) in light.iter_mut().zip(values).zip(place.column..) {
+                        let value = f64::from(value).clamp(0.0, 1.0);
+                        let step = step(value, bits, dither, Place { column, ..place });
+                        let known = stepped_light.get(step as usize).copied();
+                        *light = known.unwrap_or_else(|| curve.light(of_step(step, bits)));
+                    }
+                }
+                Levels::Continuous | Levels::Planes { .. } => {
+                    let values: Vec<f32> = values.take(light.len()).collect();
+                    curve.light_of_row(&values, light);
+                }
+            }
         };
         if let Some(i) = channel.index() {
             one(i, light);
@@ -311,14 +346,27 @@ impl Display {
         }
     }
 
+    /// Light of every step of a pixel value, where a row has more pixels than there are steps; else nothing.
+    fn stepped_light(&self, curve: Curve, pixels: usize) -> Vec<f64> {
+        match self.panel.levels {
+            Levels::Values { bits, .. } if 1 << bits <= pixels => {
+                (0..1 << bits).map(|step| curve.light(of_step(step, bits))).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
     /// From pixel values to relative light.
     pub fn curve(&self) -> Curve {
-        Curve::new(self.transfer, self.white_cd_m2())
+        Curve::new(self.transfer, self.white_cd_m2(), self.black)
     }
 
     /// As [`Display::light`], above black.
     pub fn driven(&self, channel: Channel, rgb: &[f32], place: Place) -> f64 {
         let curve = self.curve();
+        if curve.joins_colours() {
+            return channel.of(self.driven_colours(curve, rgb, place));
+        }
         let light = |i: usize| {
             let value = f64::from(rgb[i]).clamp(0.0, 1.0);
             match self.panel.levels {
@@ -334,6 +382,20 @@ impl Display {
             Channel::White => (light(0) + light(1) + light(2)) / 3.0,
             Channel::Least => light(0).min(light(1)).min(light(2)),
             Channel::Room => 0.0,
+        }
+    }
+
+    /// Light of red, green and blue above black, where it depends on all three values.
+    fn driven_colours(&self, curve: Curve, rgb: &[f32], place: Place) -> [f64; 3] {
+        let values: [f64; 3] = std::array::from_fn(|i| f64::from(rgb[i]).clamp(0.0, 1.0));
+        match self.panel.levels {
+            Levels::Continuous => curve.lights(values),
+            Levels::Values { bits, dither } => {
+                curve.lights(values.map(|value| stepped(value, bits, dither, place)))
+            }
+            Levels::Planes { bits, dither } => {
+                curve.lights(values).map(|light| stepped(light, bits, dither, place))
+            }
         }
     }
 

@@ -79,7 +79,12 @@ pub fn step(value: f64, bits: u32, dither: bool, place: Place) -> u32 {
 
 /// A value in steps.
 pub fn stepped(value: f64, bits: u32, dither: bool, place: Place) -> f64 {
-    f64::from(step(value, bits, dither, place)) / f64::from((1_u32 << bits) - 1)
+    of_step(step(value, bits, dither, place), bits)
+}
+
+/// The value (0 to 1) of a step.
+pub fn of_step(step: u32, bits: u32) -> f64 {
+    f64::from(step) / f64::from((1_u32 << bits) - 1)
 }
 
 #[cfg(test)]

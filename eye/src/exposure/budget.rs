@@ -6,6 +6,7 @@
 
 use glam::DVec2;
 use multiversion::multiversion;
+use rayon::prelude::*;
 
 use super::cones::{ConeTable, entering};
 use super::expected::Means;
@@ -88,25 +89,30 @@ impl Ledger {
         let display = &projector.display;
         let per_px = display.pixel_pitch_cm / display.distance_cm;
         // The screen's light is accounted for once, with the first tile; sums over tiles are exact.
-        let rows = if inputs.first_tile { display.height_px } else { 0 };
-        let mut pixels = Vec::with_capacity(display.width_px as usize * rows as usize);
-        for row in 0..rows {
-            for column in 0..display.width_px {
-                let from_centre =
-                    DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5) - DVec2::from_array(centre_px);
-                let tangent = DVec2::new(from_centre.x, -from_centre.y) * per_px;
-                let slant = entering(display.emission_law, beams, tangent);
-                pixels.push((slant, inputs.projection.screen().eccentricity_deg(tangent)));
-            }
-        }
+        let (columns, rows) = if inputs.first_tile { (display.width_px, display.height_px) } else { (0, 0) };
+        let pixels = columns as usize * rows as usize;
+        let mut slant = vec![0.0_f32; pixels];
+        let mut ecc_deg = vec![0.0_f32; pixels];
+        // Row by row, on all threads.
+        slant
+            .par_chunks_mut(columns.max(1) as usize)
+            .zip(ecc_deg.par_chunks_mut(columns.max(1) as usize))
+            .enumerate()
+            .for_each(|(row, (slant, ecc_deg))| {
+                for (column, (slant, ecc_deg)) in slant.iter_mut().zip(ecc_deg).enumerate() {
+                    let at = DVec2::new(column as f64 + 0.5, row as f64 + 0.5) - DVec2::from_array(centre_px);
+                    let tangent = DVec2::new(at.x, -at.y) * per_px;
+                    *slant = entering(display.emission_law, beams, tangent) as f32;
+                    *ecc_deg = inputs.projection.screen().eccentricity_deg(tangent) as f32;
+                }
+            });
         let of_primary = |shares: &Shares| {
-            let absorbed = |(slant, ecc_deg): &(f64, f64)| {
-                (slant * interpolate(&shares.macula, ecc_deg / MACULA_EDGE_DEG)) as f32
+            let absorbed = |(slant, ecc_deg): (&f32, &f32)| {
+                *slant * interpolate(&shares.macula, f64::from(*ecc_deg) / MACULA_EDGE_DEG) as f32
             };
-            pixels.iter().map(absorbed).collect()
+            slant.iter().zip(&ecc_deg).map(absorbed).collect()
         };
         let macula = shares.iter().map(of_primary).collect();
-        let slant = pixels.iter().map(|(slant, _)| *slant as f32).collect();
         Ok(Self { shares, throughput: kernels.throughput(), slant, macula })
     }
 

@@ -4,6 +4,7 @@
 //! light, black and each bit plane are layers of their own (their times differ).
 
 use glam::DVec2;
+use rayon::prelude::*;
 #[cfg(test)]
 use rustfft::num_complex::Complex64;
 
@@ -157,16 +158,34 @@ fn light_row(
     [column, row]: [u32; 2],
     values: &mut [f64],
 ) {
-    if shows != Shows::Now {
-        for (value, column) in values.iter_mut().zip(column..) {
-            *value = light(display, emitter, shows, shown, [column, row]);
+    let of_picture = |age: usize, values: &mut [f64]| {
+        let picture = shown.pictures[age.min(shown.pictures.len() - 1)];
+        let at = 3 * (row as usize * picture.width as usize + column as usize);
+        let place = Place { column, row, frame: shown.index.saturating_sub(age as u32) };
+        display.light_row(emitter.channel, &picture.rgb[at..at + 3 * values.len()], place, values);
+    };
+    match shows {
+        Shows::Now => of_picture(0, values),
+        Shows::Past(memory) => {
+            let mut weight = 1.0;
+            let mut past = vec![0.0; values.len()];
+            values.fill(0.0);
+            // As in `light`: each picture before, and the first for all that were before it.
+            for age in 1..=shown.pictures.len() {
+                let share = if age < shown.pictures.len() { weight * (1.0 - memory) } else { weight };
+                of_picture(age, &mut past);
+                for (value, past) in values.iter_mut().zip(&past) {
+                    *value += share * past;
+                }
+                weight *= memory;
+            }
         }
-        return;
+        Shows::Black | Shows::Bit(_) => {
+            for (value, column) in values.iter_mut().zip(column..) {
+                *value = light(display, emitter, shows, shown, [column, row]);
+            }
+        }
     }
-    let picture = shown.pictures[0];
-    let at = 3 * (row as usize * picture.width as usize + column as usize);
-    let place = Place { column, row, frame: shown.index };
-    display.light_row(emitter.channel, &picture.rgb[at..at + 3 * values.len()], place, values);
 }
 
 /// Light of one bit of a pixel in its channel.
@@ -175,18 +194,9 @@ fn bit_light(display: &Display, channel: Channel, rgb: &[f32], place: Place, bit
         return 0.0;
     };
     let weight = f64::from(1_u32 << bit) / f64::from((1_u32 << bits) - 1);
-    let one = |i: usize| {
-        let light = display.curve().light(f64::from(rgb[i]).clamp(0.0, 1.0));
-        if step(light, bits, dither, place) >> bit & 1 == 1 { weight } else { 0.0 }
-    };
-    match channel {
-        Channel::Red => one(0),
-        Channel::Green => one(1),
-        Channel::Blue => one(2),
-        Channel::White => (one(0) + one(1) + one(2)) / 3.0,
-        Channel::Least => one(0).min(one(1)).min(one(2)),
-        Channel::Room => 0.0,
-    }
+    let values = std::array::from_fn(|i| f64::from(rgb[i]).clamp(0.0, 1.0));
+    let of_bit = |light: f64| if step(light, bits, dither, place) >> bit & 1 == 1 { weight } else { 0.0 };
+    channel.of(display.curve().lights(values).map(of_bit))
 }
 
 /// Light of one pixel over the whole frame, all layers.
@@ -217,6 +227,9 @@ pub fn frame_light(
     }
 }
 
+/// Pixels of a window from which on it is worth more than one thread.
+const PARALLEL_PIXELS: usize = 1 << 16;
+
 /// A rectangle of pixels: first column and row, columns and rows.
 #[derive(Clone, Copy, Debug)]
 pub struct Window {
@@ -228,11 +241,15 @@ pub struct Window {
 
 impl Window {
     /// Rows of values, `[row][column]`; `fill` takes the first pixel of a row and its values.
-    fn rows(&self, mut fill: impl FnMut([u32; 2], &mut [f64])) -> Vec<f64> {
+    fn rows(&self, fill: impl Fn([u32; 2], &mut [f64]) + Sync) -> Vec<f64> {
         let [width, height] = self.size.map(|s| s as usize);
         let mut values = vec![0.0; width * height];
-        for (row, line) in (self.first[1]..).zip(values.chunks_exact_mut(width.max(1))) {
-            fill([self.first[0], row], line);
+        let one = |(row, line): (usize, &mut [f64])| fill([self.first[0], self.first[1] + row as u32], line);
+        // All threads share a large window.
+        if values.len() < PARALLEL_PIXELS {
+            values.chunks_exact_mut(width.max(1)).enumerate().for_each(one);
+        } else {
+            values.par_chunks_exact_mut(width.max(1)).enumerate().for_each(one);
         }
         values
     }
@@ -257,9 +274,21 @@ impl Window {
             }
             return light;
         }
+        let layers_of_pixels = emitter.waveform.scan().is_some() && courses.len() > 1;
         self.rows(|[column, row], line| {
-            for (value, column) in line.iter_mut().zip(column..) {
-                *value = frame_light(display, emitter, courses, shown, [column, row]);
+            if layers_of_pixels {
+                for (value, column) in line.iter_mut().zip(column..) {
+                    *value = frame_light(display, emitter, courses, shown, [column, row]);
+                }
+                return;
+            }
+            // As in `frame_light`, a row at a time.
+            let mut layer = vec![0.0; line.len()];
+            for course in courses {
+                light_row(display, emitter, course.shows, shown, [column, row], &mut layer);
+                for (value, light) in line.iter_mut().zip(&layer) {
+                    *value += course.share() * light;
+                }
             }
         })
     }

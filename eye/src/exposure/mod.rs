@@ -61,7 +61,8 @@ use crate::report::PhotonBudget;
 use crate::video::{Picture, ScreenView, draw};
 use cones::ConeTable;
 use inputs::Inputs;
-use light::{Shown, history};
+use light::Shown;
+pub(crate) use light::history;
 use prepared::Prepared;
 use source::Projector;
 

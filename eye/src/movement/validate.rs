@@ -1,5 +1,6 @@
 //! Ranges of the gaze and its movement.
 
+use crate::display::MOST_SIDE_PX;
 use crate::experiment::{Gaze, Movement, RangeError, check_range};
 
 /// Most samples of a recorded path.
@@ -12,7 +13,7 @@ impl Gaze {
     /// The first field that is out of range.
     pub fn validate(&self) -> Result<(), RangeError> {
         for (axis, value) in ["gaze.center_px[0]", "gaze.center_px[1]"].iter().zip(self.center_px) {
-            check_range(axis, value, -4096.0, 8192.0)?;
+            check_range(axis, value, -f64::from(MOST_SIDE_PX), 2.0 * f64::from(MOST_SIDE_PX))?;
         }
         match &self.movement {
             Movement::Still => {}

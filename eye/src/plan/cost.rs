@@ -8,11 +8,13 @@ use serde::{Deserialize, Serialize};
 use super::PlannedTile;
 use super::engine::IMAGES;
 use super::setup::{Setup, UM_PER_TANGENT};
+use crate::display::emitters;
 use crate::experiment::{Engine, Experiment};
 use crate::exposure::audit::Work;
+
 use crate::exposure::padua::FieldNodes;
 use crate::exposure::spectral::KINDS;
-use crate::exposure::{KernelSpec, PolarShape, TABLE_TOLERANCE, TRANSFER_BLOCK};
+use crate::exposure::{KernelSpec, PolarShape, TABLE_TOLERANCE, TRANSFER_BLOCK, history};
 use crate::retina::{Density, RegionUm, tiles_for};
 
 /// CPU seconds per cone of a mosaic tile, with its halo and cells.
@@ -36,6 +38,13 @@ const WHITE_NM: f64 = 300.0;
 const LATERAL: [f64; 2] = [1.6e-4, 6.2e-5];
 /// Spectral modes of the kernels, at most.
 const MODES: f64 = 8.0;
+/// CPU seconds per pixel of the screen, whose light the budget and the audit sum up: once; of a frame and of its audit
+/// for each primary.
+const SECONDS_PER_SCREEN_PIXEL: f64 = 1.6e-7;
+const SECONDS_PER_PIXEL_LIGHT: f64 = 4e-8;
+/// Bytes per pixel of a picture, and of the budget: for all primaries and for each, and of light while it is summed up.
+const BYTES_PER_PICTURE_PIXEL: f64 = 12.0;
+const BYTES_PER_PIXEL: [f64; 2] = [12.0, 4.0];
 /// Bytes of a cone in a tile.
 const BYTES_PER_CONE: f64 = 140.0;
 /// Bytes of a worker that has done something.
@@ -150,12 +159,23 @@ pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], ma
         Engine::Events => super::engine::table_bytes(experiment, setup, tiles),
         _ => samples * IMAGES * (2.0 * primaries + 4.0) + 4.0 * samples * 16.0,
     };
+    // The whole screen counts in the budget, once for all tiles, and in the audit.
+    let display = &experiment.display;
+    let pixels = f64::from(display.width_px) * f64::from(display.height_px);
+    let light = pixels * primaries * SECONDS_PER_PIXEL_LIGHT;
+    let earlier = emitters(display).map_or(0, |emitters| history(&emitters, display));
+    let pictures = f64::from(earlier.min(experiment.frames.saturating_sub(1)) + 1);
+    let screen_bytes = pixels
+        * (pictures * BYTES_PER_PICTURE_PIXEL
+            + BYTES_PER_PIXEL[0]
+            + display.primaries.len() as f64 * BYTES_PER_PIXEL[1]);
+    let audited = f64::from(experiment.audit_cones.min(1));
     let stages = Stages {
         mosaic: machine.mosaic * built * SECONDS_PER_CONE,
         optics: machine.optics * optics,
-        prepare: machine.prepare * counting.prepare,
-        frames: machine.frames * f64::from(experiment.frames) * counting.frame,
-        audit: machine.audit * audit.seconds,
+        prepare: machine.prepare * (counting.prepare + pixels * SECONDS_PER_SCREEN_PIXEL),
+        frames: machine.frames * f64::from(experiment.frames) * (counting.frame + light),
+        audit: machine.audit * (audit.seconds + audited * light),
     };
     Cost {
         cones,
@@ -165,6 +185,7 @@ pub fn predict(experiment: &Experiment, setup: &Setup, tiles: &[PlannedTile], ma
         kernel_bytes,
         // A worker keeps two tiles, and builds the kernels of two; or it audits.
         bytes: BASE_BYTES
+            + screen_bytes
             + (parts.min(2.0) * build_bytes).max(audit.bytes)
             + 0.85
                 * (2.0 * cones_bytes + cones * 900.0 + 3.0 * kernel_bytes + images_bytes)

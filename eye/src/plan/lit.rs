@@ -101,7 +101,11 @@ pub fn sparsity(experiment: &Experiment) -> f64 {
     }
     let Ok(view) = ScreenView::of(experiment) else { return 1.0 };
     let picture = draw(pattern, &view);
-    let light = picture.rgb.iter().map(|v| display.curve().light(f64::from(*v).clamp(0.0, 1.0)));
+    let curve = display.curve();
+    let light = picture
+        .rgb
+        .chunks_exact(3)
+        .flat_map(|rgb| curve.lights(std::array::from_fn(|i| f64::from(rgb[i]).clamp(0.0, 1.0))));
     let (sum, squares) = light.fold((0.0, 0.0), |(sum, squares), l| (sum + l, squares + l * l));
     if sum > 0.0 { (squares * picture.rgb.len() as f64).sqrt() / sum } else { 1.0 }
 }

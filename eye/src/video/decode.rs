@@ -3,6 +3,7 @@
 use std::io::Cursor;
 
 use super::Picture;
+use crate::display::MOST_SIDE_PX;
 
 /// Bounds on a picture.
 #[derive(Clone, Copy, Debug)]
@@ -15,7 +16,7 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { side_px: 4096, bytes: 256 << 20 }
+        Self { side_px: MOST_SIDE_PX, bytes: 256 << 20 }
     }
 }
 

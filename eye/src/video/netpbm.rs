@@ -159,7 +159,7 @@ mod tests {
             (b"P2 1 1 255 256", "256 is above the largest"),
             (b"P6 0 2 255\n", "0 x 2 pixels"),
             (b"P6 1 1 70000\n", "values to 70000"),
-            (b"P6 5000 1 255\n", "allowed are 4096x4096"),
+            (b"P6 9000 1 255\n", "allowed are 8192x8192"),
             (b"P6 x", "the width"),
             (b"P6 99999999999 1 255\n", "the width"),
             (b"P5", "the file ends"),

@@ -2,11 +2,12 @@
 //! pixel centres, letters by coverage).
 
 use glam::DVec2;
+use rayon::prelude::*;
 
 use super::chart::{Layout, layouts};
 use super::sloan::LETTERS;
 use super::{Picture, ScreenView};
-use crate::display::Display;
+use crate::display::{Display, MOST_SIDE_PX};
 use crate::experiment::{ChartRow, Pattern, RangeError, SizesHold, SloanChart, check_range};
 
 /// Draws a pattern as large as it is to be seen.
@@ -17,16 +18,16 @@ pub fn draw(pattern: &Pattern, view: &ScreenView) -> Picture {
         Pattern::SloanChart(chart) => layouts(chart, view),
         _ => Vec::new(),
     };
-    let mut rgb = Vec::with_capacity(3 * width as usize * height as usize);
-    for row in 0..height {
-        for column in 0..width {
+    let mut rgb = vec![0.0_f32; 3 * width as usize * height as usize];
+    rgb.par_chunks_exact_mut(3 * width as usize).zip(0..height).for_each(|(line, row)| {
+        for (rgb, column) in line.chunks_exact_mut(3).zip(0..width) {
             let colour = match pattern {
                 Pattern::SloanChart(chart) => chart_pixel(chart, &charts, display, column, row),
                 _ => pixel(pattern, view, [column, row]),
             };
-            rgb.extend(colour.map(|v| v as f32));
+            rgb.copy_from_slice(&colour.map(|v| v as f32));
         }
-    }
+    });
     Picture { width, height, rgb }
 }
 
@@ -53,7 +54,8 @@ fn pixel(pattern: &Pattern, view: &ScreenView, [column, row]: [u32; 2]) -> [f64;
             let rise = (to_cycles_per_degree - from_cycles_per_degree) / width;
             let cycles = from_cycles_per_degree * x + 0.5 * rise * x * x;
             let light = 0.5 * (1.0 + contrast * (std::f64::consts::TAU * cycles).cos());
-            rgb.map(|v| display.curve().value((light * display.curve().light(v)).clamp(0.0, 1.0)))
+            let curve = display.curve();
+            curve.values(curve.lights(*rgb).map(|of_colour| (light * of_colour).clamp(0.0, 1.0)))
         }
         Pattern::Checkerboard { square_px } => {
             let white = (column / square_px + row / square_px).is_multiple_of(2);
@@ -78,16 +80,15 @@ fn chart_pixel(chart: &SloanChart, charts: &[Layout], display: &Display, column:
         _ => (charts.first(), chart.paper_rgb),
     };
     let ink = layout.map_or(0.0, |l| l.coverage(column, row));
-    std::array::from_fn(|i| {
-        if ink <= 0.0 {
-            return paper[i];
-        }
-        if ink >= 1.0 {
-            return chart.ink_rgb[i];
-        }
-        let light = |v: f64| display.curve().light(v);
-        display.curve().value(light(paper[i]) * (1.0 - ink) + light(chart.ink_rgb[i]) * ink)
-    })
+    if ink <= 0.0 {
+        return paper;
+    }
+    if ink >= 1.0 {
+        return chart.ink_rgb;
+    }
+    let curve = display.curve();
+    let (bright, dark) = (curve.lights(paper), curve.lights(chart.ink_rgb));
+    curve.values(std::array::from_fn(|i| bright[i] * (1.0 - ink) + dark[i] * ink))
 }
 
 fn check_rgb(field: &str, rgb: [f64; 3]) -> Result<(), RangeError> {
@@ -131,9 +132,12 @@ impl Pattern {
                 check_range("video.pattern.sweep.contrast", *contrast, 0.0, 1.0)?;
                 check_rgb("video.pattern.sweep.rgb", *rgb)
             }
-            Self::Checkerboard { square_px } => {
-                check_range("video.pattern.checkerboard.square_px", f64::from(*square_px), 1.0, 4096.0)
-            }
+            Self::Checkerboard { square_px } => check_range(
+                "video.pattern.checkerboard.square_px",
+                f64::from(*square_px),
+                1.0,
+                f64::from(MOST_SIDE_PX),
+            ),
             Self::Point { at_px, rgb } => {
                 for axis in 0..2 {
                     let field = format!("video.pattern.point.at_px[{axis}]");

@@ -353,7 +353,7 @@ mod tests {
             (film("W2 H2 C444alpha", &[0; 16]), Some(LIMITED), "`444alpha`"),
             (film("W2 H2 C420p99", &[0; 16]), Some(LIMITED), "`420p99`"),
             (film("W2 C444", &[0; 12]), Some(LIMITED), "no height"),
-            (film("W2 H9999 C444", &[0; 12]), Some(LIMITED), "allowed are 4096x4096"),
+            (film("W2 H9999 C444", &[0; 12]), Some(LIMITED), "allowed are 8192x8192"),
             (film("W2 H2 C444 XCOLORRANGE=FULL", &[0; 12]), Some(LIMITED), "says that its range is FULL"),
             (b"YUV4MPEG2 W2 H2 C444\n".to_vec(), Some(LIMITED), "no frame"),
             (b"YUV4MPEG2 W2".to_vec(), Some(LIMITED), "first line does not end"),

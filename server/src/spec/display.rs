@@ -101,6 +101,11 @@ fn over(preset: v1::Display, spec: &v1::Display) -> v1::Display {
         turn_deg: spec.turn_deg.or(preset.turn_deg),
         curvature_radius_cm: spec.curvature_radius_cm.or(preset.curvature_radius_cm),
         white_driven_by: spec.white_driven_by.or(preset.white_driven_by),
+        // A transfer of the spec takes the place of the preset's with its numbers.
+        gamma: spec.gamma.or(preset.gamma.filter(|_| spec.transfer.is_none())),
+        hlg_system_gamma: spec
+            .hlg_system_gamma
+            .or(preset.hlg_system_gamma.filter(|_| spec.transfer.is_none())),
     }
 }
 
@@ -155,7 +160,17 @@ fn placement(spec: &v1::Display, size_px: [u32; 2]) -> Result<Placement, FieldEr
 fn transfer(spec: &v1::Display) -> Result<Transfer, FieldError> {
     use v1::display::Transfer as T;
     let transfer = choice("display.transfer", spec.transfer, T::Srgb, T::as_str_name)?;
+    // Numbers that the transfer does not have.
+    let has = [
+        ("gamma", spec.gamma.is_some() && transfer != T::Gamma, "GAMMA"),
+        ("hlg_system_gamma", spec.hlg_system_gamma.is_some() && transfer != T::Hlg, "HLG"),
+    ];
+    if let Some((name, _, owner)) = has.into_iter().find(|(_, is_odd, _)| *is_odd) {
+        return Err(FieldError::new(format!("display.{name}"), format!("needs `transfer` `{owner}`")));
+    }
     Ok(match transfer {
+        T::Gamma => Transfer::Gamma(needed("display.gamma", spec.gamma)? + 0.0),
+        T::Hlg => Transfer::Hlg(spec.hlg_system_gamma.map(|gamma| gamma + 0.0)),
         T::Srgb => Transfer::Srgb,
         T::Bt1886 => Transfer::Bt1886,
         T::Linear => Transfer::Linear,

@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use glam::{DMat2, DVec2};
 use rayon::prelude::*;
 
-use super::super::light::{Course, Shown, courses, courses_at, frame_light, light};
+use super::super::light::{Course, Shown, Window, courses, courses_at, light};
 use super::super::source::Projector;
 use super::super::stray::angle::Scatter;
 use super::collection::Collection;
@@ -66,12 +66,17 @@ impl Lights {
         for emitter in &projector.emitters {
             let courses = courses(emitter, display, shown.index);
             let mut sums = vec![0.0; (columns * rows) as usize];
-            for row in 0..display.height_px {
-                for column in 0..display.width_px {
-                    let light = frame_light(display, emitter, &courses, shown, [column, row]);
-                    sums[(row / block_px * columns + column / block_px) as usize] += light;
+            // A row of blocks at a time, on all threads.
+            sums.par_chunks_mut(columns as usize).zip(0..rows).for_each(|(sums, block_row)| {
+                let first = block_row * block_px;
+                for row in first..(first + block_px).min(display.height_px) {
+                    let line = Window { first: [0, row], size: [display.width_px, 1] };
+                    let light = line.frame_light(display, emitter, &courses, shown);
+                    for (sum, pixels) in sums.iter_mut().zip(light.chunks(block_px as usize)) {
+                        *sum = pixels.iter().fold(*sum, |sum, light| sum + light);
+                    }
                 }
-            }
+            });
             made.sums.push(sums);
             made.photons.push(emitter.emitted() * projector.pupil_share);
             made.courses.push(courses);

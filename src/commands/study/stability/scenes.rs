@@ -118,9 +118,9 @@ fn wrong() -> Vec<(&'static str, &'static str, Value)> {
 
 fn large_display() -> Found {
     let changes = [
-        ("display.width_px", json!(4096)),
-        ("display.height_px", json!(4096)),
-        ("gaze.center_px", json!([2048, 2048])),
+        ("display.width_px", json!(8192)),
+        ("display.height_px", json!(8192)),
+        ("gaze.center_px", json!([4096, 4096])),
     ];
     match experiment(&with(small(), &changes)).and_then(|e| plan(&e).map_err(|e| e.to_string())) {
         Ok(plan) => Found::new("seconds foreseen", plan.predicted_seconds, 3600.0),
@@ -143,7 +143,7 @@ pub fn cases(cases: &mut Cases) {
     for (name, field, value) in wrong() {
         cases.add(GROUP, &format!("{name} is refused"), || refused(&with(small(), &[(field, value)]), field));
     }
-    cases.add(GROUP, "a display of 4096 x 4096 is planned or refused by name", || Ok(large_display()));
+    cases.add(GROUP, "a display of 8192 x 8192 is planned or refused by name", || Ok(large_display()));
     cases.add(GROUP, "drift 1000°/s at 60 Hz is computed or refused by name", || {
         let fast = json!({"drift": {"speed_arcmin_per_s": 60000, "direction_deg": 30}});
         match run(runner, &with(small(), &[("gaze.movement", fast)])) {
