@@ -77,7 +77,7 @@ impl ExperimentFile {
         if let Some(table) = &self.mosaic {
             let blob = client.put_blob(table.bytes.clone()).await?;
             let kind = Some(v1::mosaic::Kind::Blob(blob));
-            self.experiment.retina.get_or_insert_default().mosaic = Some(v1::Mosaic { kind });
+            self.experiment.retina.get_or_insert_default().mosaic.get_or_insert_default().kind = kind;
         }
         if self.pictures.is_empty() {
             return Ok(());

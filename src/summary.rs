@@ -74,6 +74,12 @@ fn cones(text: &mut String, report: &Value) {
             mean_of_type(report, name)
         );
     }
+    if let Some(edge @ 1..) = report["edge_cones"].as_u64() {
+        let _ = writeln!(
+            text,
+            "              {edge:>6} more at the rim of the mosaic or beside gaps, left out of the means"
+        );
+    }
 }
 
 /// The mean over the listed frames.

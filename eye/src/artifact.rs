@@ -35,6 +35,8 @@ pub enum ArtifactSpec {
         table: String,
         /// Seed, geometry, aperture and pointing.
         params: Box<RetinaParams>,
+        /// Type of cones that were not classified; `None`: they are refused.
+        type_unknown: Option<ConeType>,
         /// The region.
         region: RegionUm,
     },
@@ -155,8 +157,8 @@ impl ArtifactSpec {
                 })
             }
             // Take the cones from an uploaded table.
-            Self::MeasuredCones { table, params, region } => {
-                let retina = measured(input(blob_key(table)?, inputs)?, params, region)?;
+            Self::MeasuredCones { table, params, type_unknown, region } => {
+                let retina = measured(input(blob_key(table)?, inputs)?, params, *type_unknown, region)?;
                 Ok(Built {
                     bytes: retina.to_bytes(),
                     cones: Some(retina.len() as u64),
@@ -207,10 +209,15 @@ pub fn blob_key(digest: &str) -> Result<Digest, BuildError> {
 }
 
 /// The cones of a table that lie in a region.
-fn measured(csv: &[u8], params: &RetinaParams, region: &RegionUm) -> Result<Retina, BuildError> {
+fn measured(
+    csv: &[u8],
+    params: &RetinaParams,
+    type_unknown: Option<ConeType>,
+    region: &RegionUm,
+) -> Result<Retina, BuildError> {
     let refused = |why: String| BuildError::Model(format!("retina.mosaic: {why}"));
     let csv = std::str::from_utf8(csv).map_err(|e| refused(e.to_string()))?;
-    let all = import(csv, params).map_err(|e| refused(e.to_string()))?;
+    let all = import(csv, params, type_unknown).map_err(|e| refused(e.to_string()))?;
     let retina = all.within(region);
     if retina.is_empty() {
         let box_of = |r: &RegionUm| {

@@ -11,7 +11,8 @@ use crate::display::Display;
 use crate::optics::{Dispersion, OpticsError, Prescription, Side};
 use crate::plan::{Knobs, Rule};
 use crate::retina::{
-    Aperture, CellWalls, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry, RetinaParams,
+    Aperture, CellWalls, ConeType, DensityLaw, Dropout, Generator, OpticDisc, RetinaError, RetinaGeometry,
+    RetinaParams,
 };
 use crate::video::{ClipFormat, FromFilm};
 
@@ -129,6 +130,9 @@ pub struct Retina {
     pub region_deg: Option<[f64; 4]>,
     /// Digest of an uploaded table of measured cones that takes the place of a grown mosaic.
     pub mosaic: Option<String>,
+    /// Type of its cones that were not classified; `None`: they are refused.
+    #[serde(default)]
+    pub mosaic_type_unknown: Option<ConeType>,
     /// Isomerizations of a cone without light, 1/s.
     pub dark_isomerizations_per_s: f64,
     /// Retinal illuminance that the cones are adapted to, trolands; `None`: no pigment is bleached.
@@ -494,6 +498,7 @@ impl Default for Retina {
             optic_disc: p.optic_disc.is_some(),
             region_deg: None,
             mosaic: None,
+            mosaic_type_unknown: None,
             dark_isomerizations_per_s: 0.0,
             bleaching_td: None,
         }

@@ -58,6 +58,7 @@ fn columns(experiment: &Experiment, artifacts: &[Vec<u8>]) -> Result<ConeColumns
             meridian_deg: tile.meridian_deg,
             kind: tile.cone_type,
             aperture_um2: tile.aperture_um2,
+            edge: tile.edge,
             // The model counts corners, the table numbers.
             polygon_start: tile.polygon_start.iter().map(|corner| 2 * corner).collect(),
             polygon: tile.polygon_xy,

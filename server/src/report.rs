@@ -22,6 +22,8 @@ struct Facts {
     digests: Value,
     artifacts: Value,
     frames: Value,
+    /// Cones of the result.
+    cones: u64,
     wall_seconds: f64,
     warnings: Vec<String>,
     /// Names of the documents that hold experiment and plan.
@@ -53,6 +55,9 @@ impl Service {
         // The same cones in every frame.
         let first = facts.frames.get(0).map_or(&Value::Null, |frame| &frame["types"]);
         let cones = json!({"l": first["l"]["cones"], "m": first["m"]["cones"], "s": first["s"]["cones"]});
+        let counted = |name: &str| cones[name].as_u64().unwrap_or(0);
+        let in_statistics = counted("l") + counted("m") + counted("s");
+        let edge_cones = facts.cones.saturating_sub(in_statistics);
         let spec: Value = self.stored(&facts.texts[0]).await?;
         Ok(json!({
             "id": id,
@@ -76,6 +81,7 @@ impl Service {
             "photon_budget": merged.budget,
             "diagnostics": merged.diagnostics,
             "cones": cones,
+            "edge_cones": edge_cones,
             "frames": facts.frames,
         }))
     }
@@ -150,9 +156,9 @@ fn facts(state: &State, job: &Job) -> Facts {
         .filter_map(|key| state.artifacts.get(key))
         .map(|one| json!({"kind": one.kind, "key": one.key, "digest": one.digest.map(|d| d.to_string()), "cones": one.cones}))
         .collect();
+    let all_cones = keys_of(job, 0).filter_map(|key| state.artifacts.get(key)?.cones).sum();
     // The keys of a job's retina and optics, in tile order; one tile has one of each.
-    let keys =
-        |place: usize| -> Vec<&String> { job.tiles.iter().filter_map(|tile| tile.get(place)).collect() };
+    let keys = |place: usize| -> Vec<&String> { keys_of(job, place).collect() };
     let digests = json!({"spec": job.experiment_digest, "retina": keys(0), "optics": keys(1), "result": job.result_digest});
     let ended = job.finished_ms.unwrap_or(job.created_ms);
     Facts {
@@ -160,10 +166,16 @@ fn facts(state: &State, job: &Job) -> Facts {
         digests,
         artifacts: artifacts.into(),
         frames: frames(job),
+        cones: all_cones,
         warnings: job.warnings.clone(),
         wall_seconds: ended.saturating_sub(job.created_ms) as f64 / 1e3,
         texts: [job.experiment_text.clone(), job.plan_text.clone()],
     }
+}
+
+/// Keys of one kind of artifact, in tile order.
+fn keys_of(job: &Job, place: usize) -> impl Iterator<Item = &String> {
+    job.tiles.iter().filter_map(move |tile| tile.get(place))
 }
 
 /// Mean, variance and Fano factor per frame and cone type.

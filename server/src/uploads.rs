@@ -79,9 +79,10 @@ impl Service {
         };
         let bytes = self.upload(caller, FIELD, text).await?;
         let params = retina.params(0.0, RetinaGeometry::default());
+        let type_unknown = retina.mosaic_type_unknown;
         let check = move || {
             let csv = std::str::from_utf8(&bytes).map_err(|error| error.to_string())?;
-            check_mosaic(csv, &params).map_err(|error| error.to_string())
+            check_mosaic(csv, &params, type_unknown).map_err(|error| error.to_string())
         };
         let checked = tokio::task::spawn_blocking(check).await?;
         checked.map_err(|why| FieldError::new(FIELD, why))?;

@@ -11,7 +11,8 @@ use std::sync::Arc;
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type, UInt8Type, UInt32Type, UInt64Type};
 use arrow_array::{
-    Array, ArrayRef, Float32Array, Float64Array, ListArray, RecordBatch, UInt8Array, UInt32Array, UInt64Array,
+    Array, ArrayRef, BooleanArray, Float32Array, Float64Array, ListArray, RecordBatch, UInt8Array,
+    UInt32Array, UInt64Array,
 };
 use arrow_buffer::{OffsetBuffer, ScalarBuffer};
 use arrow_ipc::CompressionType;
@@ -51,6 +52,8 @@ pub struct ConeColumns {
     pub kind: Vec<u8>,
     /// Light-collecting area, µm².
     pub aperture_um2: Vec<f32>,
+    /// Whether it lies at the rim of a measured mosaic or beside a gap; such cones are left out of statistics.
+    pub edge: Vec<bool>,
     /// Where each polygon begins in `polygon`, and its end: one more value than there are cones.
     pub polygon_start: Vec<u32>,
     /// Corners x0, y0, x1, y1, … of all polygons, µm, in the frame of `x_um` and `y_um`.
@@ -85,6 +88,7 @@ impl ConeColumns {
         self.meridian_deg.extend(&other.meridian_deg);
         self.kind.extend(&other.kind);
         self.aperture_um2.extend(&other.aperture_um2);
+        self.edge.extend(&other.edge);
         if self.polygon_start.is_empty() {
             self.polygon_start.push(0);
         }
@@ -203,6 +207,7 @@ fn cones_batch(cones: &ConeColumns) -> Result<RecordBatch, TableError> {
         ("meridian_deg", f64s(&cones.meridian_deg)),
         ("type", Arc::new(UInt8Array::from(cones.kind.clone()))),
         ("aperture_um2", Arc::new(Float32Array::from(cones.aperture_um2.clone()))),
+        ("edge", Arc::new(BooleanArray::from(cones.edge.clone()))),
         ("polygon", Arc::new(ListArray::try_new(corner, offsets, corners, None)?)),
     ];
     let batch =
@@ -254,6 +259,16 @@ fn cones_of_batch(batch: &RecordBatch) -> Result<ConeColumns, TableError> {
             .ok_or_else(|| wrong_type("aperture_um2"))?
             .values()
             .to_vec(),
+        edge: match batch.column_by_name("edge") {
+            // Files of earlier versions.
+            None => vec![false; batch.num_rows()],
+            Some(edge) => edge
+                .as_boolean_opt()
+                .ok_or_else(|| wrong_type("edge"))?
+                .iter()
+                .map(|edge| edge == Some(true))
+                .collect(),
+        },
         polygon_start: list.value_offsets().iter().map(|&start| (start - first) as u32).collect(),
         polygon: values.values()[first as usize..last as usize].to_vec(),
     })

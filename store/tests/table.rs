@@ -23,6 +23,7 @@ fn cones() -> ConeColumns {
         meridian_deg: vec![0.0, 359.0],
         kind: vec![0, 2],
         aperture_um2: vec![4.5, 3.5],
+        edge: vec![false, true],
         polygon_start: vec![0, 6, 14],
         polygon: (0..14).map(|i| i as f32).collect(),
     }

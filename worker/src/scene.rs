@@ -20,8 +20,8 @@ const KEPT: usize = 2;
 /// A prepared scene.
 pub(crate) struct Scene {
     pub(crate) exposure: Exposure,
-    /// Type of each cone of the tile: 0 L, 1 M, 2 S.
-    pub(crate) cone_types: Vec<u8>,
+    /// Type of each cone of the tile: 0 L, 1 M, 2 S; `None` of those left out of statistics.
+    pub(crate) cone_types: Vec<Option<u8>>,
     /// The files; `None` for a drawn pattern.
     pub(crate) clip: Option<Clip>,
     /// Columns and rows of the display.
@@ -117,7 +117,7 @@ async fn prepare(shared: &Shared, lease: &Lease, shard: &v1::Shard) -> Result<Ar
     let frame_rate_hz = experiment.display.frame_rate_hz;
     blocking(move || {
         let exposure = Exposure::new(&experiment, &artifacts).map_err(model_error)?;
-        let cone_types = exposure.cone_types();
+        let cone_types = exposure.cone_types_inside();
         Ok(Arc::new(Scene { exposure, cone_types, clip, size_px, frame_rate_hz, preparing: Mutex::new(()) }))
     })
     .await

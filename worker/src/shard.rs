@@ -176,13 +176,15 @@ fn count(
     Ok((Chunk { bytes, summary: summarize(&frame.counts, &scene.cone_types), frame }, memo))
 }
 
-fn summarize(counts: &FrameCounts, cone_types: &[u8]) -> Summary {
+/// Sums by type; cones without one are left out.
+fn summarize(counts: &FrameCounts, cone_types: &[Option<u8>]) -> Summary {
     let values: Box<dyn Iterator<Item = f64> + '_> = match counts {
         FrameCounts::Counts(counts) => Box::new(counts.iter().map(|&count| f64::from(count))),
         FrameCounts::Means(means) => Box::new(means.iter().map(|&mean| f64::from(mean))),
     };
     let mut summary = Summary::default();
     for (value, &cone_type) in values.zip(cone_types) {
+        let Some(cone_type) = cone_type else { continue };
         let i = usize::from(cone_type.min(2));
         summary.sum[i] += value;
         summary.sum_squares[i] += value * value;
@@ -208,7 +210,8 @@ mod tests {
 
     #[test]
     fn sums_go_to_their_type() {
-        let summary = summarize(&FrameCounts::Counts(vec![1, 2, 3, 4]), &[0, 1, 1, 2]);
+        let summary =
+            summarize(&FrameCounts::Counts(vec![1, 2, 3, 4, 9]), &[Some(0), Some(1), Some(1), Some(2), None]);
         let expected = Summary { sum: [1.0, 5.0, 4.0], sum_squares: [1.0, 13.0, 16.0], cones: [1, 2, 1] };
         assert_eq!(summary, expected);
     }

@@ -22,6 +22,8 @@ pub struct MappedCone {
     pub ecc_deg: f64,
     /// Its type.
     pub cone_type: ConeType,
+    /// Whether it lies at the rim of a measured mosaic or beside a gap.
+    pub edge: bool,
     /// Factor from its pointing error.
     pub pointing: f64,
 }
@@ -47,6 +49,8 @@ pub struct ConeColumns {
     pub cone_type: Vec<u8>,
     /// Light-collecting area, µm².
     pub aperture_um2: Vec<f32>,
+    /// Whether it lies at the rim of a measured mosaic or beside a gap.
+    pub edge: Vec<bool>,
     /// First corner of each polygon in `polygon_xy`, counted in corners; one more entry than cones.
     pub polygon_start: Vec<u32>,
     /// Corners x, y, absolute, µm.
@@ -65,6 +69,7 @@ pub fn cone_columns(experiment: &Experiment, retina: &Retina) -> Result<ConeColu
         y_um: retina.y_um.clone(),
         cone_type: retina.cone_type.iter().map(|t| *t as u8).collect(),
         aperture_um2: retina.aperture_um2.clone(),
+        edge: retina.edge.clone(),
         polygon_start: vec![0],
         ..ConeColumns::default()
     };
@@ -138,6 +143,7 @@ impl ConeTable {
                     um: source,
                     ecc_deg,
                     cone_type: retina.cone_type[i],
+                    edge: retina.edge[i],
                     pointing: pointing.as_ref().map_or(1.0, |p| p.factor(f64::from(px).hypot(f64::from(py)))),
                 }
             })

@@ -204,9 +204,9 @@ impl Exposure {
         &self.inputs.retina.id
     }
 
-    /// Type of each cone: 0 L, 1 M, 2 S.
-    pub fn cone_types(&self) -> Vec<u8> {
-        self.cones.cones.iter().map(|c| c.cone_type as u8).collect()
+    /// Type of each cone: 0 L, 1 M, 2 S; `None` of those at the rim of a measured mosaic or beside a gap.
+    pub fn cone_types_inside(&self) -> Vec<Option<u8>> {
+        self.cones.cones.iter().map(|cone| (!cone.edge).then_some(cone.cone_type as u8)).collect()
     }
 
     /// Computes frame `index`. `picture` is the frame's picture; a drawn pattern needs none.

@@ -295,9 +295,10 @@ fn artifacts(
     for PlannedTile { region, kernels, .. } in result_tiles {
         let kernels = ArtifactSpec::Kernels(Box::new(kernels));
         let kernels = planned(kernels, cost.stages.optics / parts, cost.kernel_bytes / parts)?;
-        if let Some(table) = &setup.mosaic {
+        if let Some((table, type_unknown)) = &setup.mosaic {
             let params = Box::new(setup.retina.clone());
-            let cones = ArtifactSpec::MeasuredCones { table: table.clone(), params, region };
+            let (table, type_unknown) = (table.clone(), *type_unknown);
+            let cones = ArtifactSpec::MeasuredCones { table, params, type_unknown, region };
             let cones = planned(cones, cost.stages.mosaic / parts, cost.cones_bytes / parts)?;
             needed.push(vec![cones.key, kernels.key]);
             artifacts.extend([cones, kernels]);

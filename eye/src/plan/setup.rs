@@ -14,7 +14,7 @@ use crate::experiment::{Engine, Experiment, MAX_REGION_DEG, RangeError};
 use crate::exposure::scene::{MAX_GRID, Scene, SceneNeeds};
 use crate::movement::Gaze;
 use crate::optics::{EyeState, FieldFit, Fixation, Prescription, Projection, SchematicEye, ScreenPose};
-use crate::retina::{RegionUm, RetinaGeometry, RetinaParams};
+use crate::retina::{ConeType, RegionUm, RetinaGeometry, RetinaParams};
 
 /// Retina beyond the picture's edge that is simulated because the picture's blur falls on it, µm.
 pub(super) const MARGIN_UM: f64 = 75.0;
@@ -48,8 +48,9 @@ pub struct Setup {
     pub tiles: Vec<RegionUm>,
     /// The mosaic's parameters.
     pub retina: RetinaParams,
-    /// Digest of the table of measured cones, if they take the mosaic's place.
-    pub mosaic: Option<String>,
+    /// Digest of the table of measured cones, if they take the mosaic's place, and the type of cones that were not
+    /// classified.
+    pub mosaic: Option<(String, Option<ConeType>)>,
     /// Distance between a cone and the nearest copy of the picture, beyond what the blur asks, µm.
     pub guard_um: f64,
     /// The transfer over the patch, traced when it is asked for.
@@ -78,7 +79,7 @@ pub fn setup(experiment: &Experiment) -> Result<Setup, PlanError> {
         return Err(RangeError::new("retina.region_deg", value, &allowed).into());
     }
     let retina = retina_params(experiment, &prescription, &state)?;
-    let mosaic = experiment.retina.mosaic.clone();
+    let mosaic = experiment.retina.mosaic.clone().map(|table| (table, experiment.retina.mosaic_type_unknown));
     Ok(Setup {
         prescription,
         state,

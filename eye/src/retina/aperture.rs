@@ -143,7 +143,7 @@ mod tests {
                 let (x, y) = (spacing * (a + 0.5 * (b.abs() % 2.0)), spacing * 0.75_f64.sqrt() * b);
                 writeln!(text, "L,{y},{x}").unwrap();
             }
-            let retina = import(&text, &params(Aperture::InnerSegment)).unwrap();
+            let retina = import(&text, &params(Aperture::InnerSegment), None).unwrap();
             let centre = (0..retina.len()).find(|&i| retina.center(i) == DVec2::ZERO).unwrap();
             let (aperture, cell) = (retina.aperture_um2[centre], retina.cell_area_um2[centre]);
             let want = if full { cell } else { (FRAC_PI_4 * 2.3 * 2.3) as f32 };

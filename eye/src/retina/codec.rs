@@ -2,7 +2,7 @@
 //!
 //! magic (8 bytes) | version u32 | place (4 x f64: i, j, 0, 0 or the region) | length of the parameters u32 | parameters (postcard) | counts (7 x u64) |
 //! cones n u32 | corners c u32 | id n x u64 | x n x f64 | y n x f64 | polygon_start (n + 1) x u32 | polygon_xy 2c x f32 | cell area n x f32 |
-//! aperture n x f32 | pointing 2n x f32 | type n x u8 | BLAKE3 of all before (32 bytes).
+//! aperture n x f32 | pointing 2n x f32 | type, and 4 more at an edge, n x u8 | BLAKE3 of all before (32 bytes).
 //! A reader checks magic, version, total length and digest before it allocates.
 
 use glam::DVec2;
@@ -15,6 +15,8 @@ const TILE_MAGIC: [u8; 8] = *b"PHEYTILE";
 const RETINA_MAGIC: [u8; 8] = *b"PHEYRETI";
 const VERSION: u32 = 2;
 const DIGEST: usize = 32;
+/// Added to the type of a cone at an edge.
+const EDGE: u8 = 4;
 
 const fn damaged() -> RetinaError {
     RetinaError::Bytes("damaged or cut short")
@@ -70,7 +72,7 @@ fn encode(magic: [u8; 8], place: [f64; 4], params: &RetinaParams, cones: &Cones)
     out.extend(cones.polygon_start.iter().flat_map(|v| v.to_le_bytes()));
     let singles = cones.polygon_xy.iter().chain(&cones.cell_area_um2).chain(&cones.aperture_um2);
     out.extend(singles.chain(cones.pointing.as_flattened()).flat_map(|v| v.to_le_bytes()));
-    out.extend(cones.cone_type.iter().map(|&t| t as u8));
+    out.extend(cones.cone_type.iter().zip(&cones.edge).map(|(&t, &edge)| t as u8 + EDGE * u8::from(edge)));
     let digest = blake3::hash(&out);
     out.extend(digest.as_bytes());
     out
@@ -100,13 +102,16 @@ fn decode(magic: [u8; 8], bytes: &[u8]) -> Result<([f64; 4], RetinaParams, Cones
         *v = u64::from_le_bytes(r.array()?);
     }
     let (n, corners) = (r.u32()? as usize, r.u32()? as usize);
-    let types = |b: [u8; 1]| match b[0] {
-        0 => Some(ConeType::L),
-        1 => Some(ConeType::M),
-        2 => Some(ConeType::S),
-        _ => None,
+    let types = |b: [u8; 1]| {
+        let cone_type = match b[0] % EDGE {
+            0 => ConeType::L,
+            1 => ConeType::M,
+            2 => ConeType::S,
+            _ => return None,
+        };
+        (b[0] < 2 * EDGE).then_some((cone_type, b[0] >= EDGE))
     };
-    let cones = Cones {
+    let mut cones = Cones {
         counts: Counts::from_array(counts),
         id: r.values(n, u64::from_le_bytes)?,
         x_um: r.values(n, f64::from_le_bytes)?,
@@ -116,8 +121,10 @@ fn decode(magic: [u8; 8], bytes: &[u8]) -> Result<([f64; 4], RetinaParams, Cones
         cell_area_um2: r.values(n, f32::from_le_bytes)?,
         aperture_um2: r.values(n, f32::from_le_bytes)?,
         pointing: r.values(2 * n, f32::from_le_bytes)?.as_chunks::<2>().0.to_vec(),
-        cone_type: r.values(n, types)?.into_iter().collect::<Option<_>>().ok_or_else(damaged)?,
+        ..Cones::default()
     };
+    (cones.cone_type, cones.edge) =
+        r.values(n, types)?.into_iter().collect::<Option<_>>().ok_or_else(damaged)?;
     let starts = &cones.polygon_start;
     let sound = starts.first() == Some(&0) && starts.is_sorted() && starts.last() == Some(&(corners as u32));
     if !sound || !r.0.is_empty() {

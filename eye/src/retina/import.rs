@@ -1,6 +1,6 @@
 //! A measured mosaic as a retina: places and types from a table, cells grown here.
 //!
-//! `table` reads the text. Row numbers (from 0) are the cones' ids.
+//! `table` reads the text. Ids are the table's, else the numbers of its rows (from 0).
 //!
 //! Spacing of a cone: mean distance across the cone to its six nearest, then the median of that over the cone
 //! and those six, so that cones at the rim get the spacing of their inner neighbours. Cells are plain Voronoi
@@ -10,7 +10,7 @@
 //! the same inner segment. Pointing errors are drawn from the seed by cone.
 //!
 //! Beside a gap and at the rim a cell has corners far away. Its cone is as large as the median cell of its neighbours
-//! inside: the gap stays a gap.
+//! inside: the gap stays a gap. It is marked as one at an edge. Apertures of the table are taken as they are.
 //!
 //! # Cost
 //! Measured: 4 µs a cone, one thread; 16 µs for a strip from the fovea to 45°, over which the density falls fifty times.
@@ -22,7 +22,7 @@ use super::clip::area;
 use super::field::Field;
 use super::force::RADIUS_FACTOR;
 use super::grid::Grid;
-use super::mosaic::{Cones, Retina};
+use super::mosaic::{ConeType, Cones, Retina};
 use super::params::RetinaParams;
 use super::relax::Relaxed;
 use super::table::{ImportError, LEAST_DISTANCE_UM, Table};
@@ -44,20 +44,28 @@ const NEAREST: usize = 6;
 ///
 /// # Errors
 /// As [`import`].
-pub fn check_mosaic(csv: &str, params: &RetinaParams) -> Result<usize, ImportError> {
+pub fn check_mosaic(
+    csv: &str,
+    params: &RetinaParams,
+    type_unknown: Option<ConeType>,
+) -> Result<usize, ImportError> {
     params.validate()?;
-    Ok(Table::read(csv, &Field::new(params))?.at.len())
+    Ok(Table::read(csv, &Field::new(params), type_unknown)?.at.len())
 }
 
 /// The retina of a table; its region is the smallest rectangle that holds the cones, with a spacing round it. `params` give seed, geometry,
-/// aperture and pointing.
+/// aperture and pointing; cones that were not classified are of the type `type_unknown`.
 ///
 /// # Errors
 /// [`ImportError`] with the first thing wrong: its line, column and value, and what is allowed.
-pub fn import(csv: &str, params: &RetinaParams) -> Result<Retina, ImportError> {
+pub fn import(
+    csv: &str,
+    params: &RetinaParams,
+    type_unknown: Option<ConeType>,
+) -> Result<Retina, ImportError> {
     params.validate()?;
     let field = Field::new(params);
-    let table = Table::read(csv, &field)?;
+    let table = Table::read(csv, &field, type_unknown)?;
     let (relaxed, near) = as_relaxed(&field, &table)?;
     let mut cells = build_cells(&relaxed, 0.0);
     let inner_um2 = inner_areas(&relaxed, &cells, &near);
@@ -72,10 +80,16 @@ pub fn import(csv: &str, params: &RetinaParams) -> Result<Retina, ImportError> {
         let factor = relaxed.metric[i].area_factor();
         let cell = cells.polygon(i);
         let mut coverage = field.density.coverage_of(at, || field.local(at).cos_tilt / (area(cell) * factor));
-        if let Some(inner_um2) = inner_um2[i] {
+        if let Some(apertures_um2) = &table.aperture_um2 {
+            // A measured aperture is what it is.
+            coverage = apertures_um2[i] / (area(cell) * factor);
+        } else if let Some(inner_um2) = inner_um2[i].um2 {
             coverage *= (inner_um2 / (area(cell) * factor)).min(1.0);
         }
         cones.push(id, at, kind, cell, factor, coverage);
+        if let Some(edge) = cones.edge.last_mut() {
+            *edge = inner_um2[i].is_edge;
+        }
         cones.counts.close_pairs += u64::from(cells.close[i]);
         cones.counts.voids += u64::from(cells.void[i]);
         cones.counts.concave += u64::from(cells.concave[i]);
@@ -89,10 +103,17 @@ pub fn import(csv: &str, params: &RetinaParams) -> Result<Retina, ImportError> {
 /// Distance and number of the nearest cones of a cone.
 type Nearest = Vec<(f64, u32)>;
 
-/// For a cone at the rim or beside a gap, whose cell is open, the median area of the cells (µm²) of those of its nearest
-/// cones that are inside; where none is, the median of what they get. `None` for cones inside, and for cones that know
-/// none.
-fn inner_areas(cones: &Relaxed, cells: &Cells, near: &[Nearest]) -> Vec<Option<f64>> {
+/// What the cells inside say of a cone.
+#[derive(Clone, Copy)]
+struct Inner {
+    /// Whether its own cell is open: at the rim or beside a gap.
+    is_edge: bool,
+    /// Of such a cone, the median area of the cells of those of its nearest cones that are inside, µm²; where none is, the
+    /// median of what they get; where they know none, `None`.
+    um2: Option<f64>,
+}
+
+fn inner_areas(cones: &Relaxed, cells: &Cells, near: &[Nearest]) -> Vec<Inner> {
     let n = near.len();
     let of_cell = |i: usize| area(cells.polygon(i)) * cones.metric[i].area_factor();
     let is_edge = |i: usize| {
@@ -121,7 +142,7 @@ fn inner_areas(cones: &Relaxed, cells: &Cells, near: &[Nearest]) -> Vec<Option<f
             known[i] = Some(area);
         }
     }
-    (0..n).map(|i| known[i].filter(|_| edge[i])).collect()
+    (0..n).map(|i| Inner { is_edge: edge[i], um2: known[i].filter(|_| edge[i]) }).collect()
 }
 
 /// The cones as the cell builder takes them, all of equal weight, with the measured spacing; and the nearest of each.
@@ -130,7 +151,7 @@ fn as_relaxed(field: &Field, table: &Table) -> Result<(Relaxed, Vec<Nearest>), I
     let mut cones = Relaxed::default();
     cones.at.extend(&table.at);
     cones.metric.extend(table.at.iter().map(|&at| field.local(at).metric));
-    cones.id.extend(0..n as u64);
+    cones.id.extend(&table.id);
     cones.rows.resize(n, 0.0);
     cones.radius.resize(n, 0.0);
     let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
@@ -230,7 +251,7 @@ mod tests {
             [(DVec2::ZERO, 80.0, 12.0, 0.06, 0.93), (DVec2::new(3_000.0, -2_000.0), 250.0, 50.0, 0.15, 0.55)]
         {
             let made = patch(at, half);
-            let read = import(&table(&made), &made.params).unwrap();
+            let read = import(&table(&made), &made.params, None).unwrap();
             assert_eq!(made.len(), read.len());
             let inner = RegionUm { min: at - (half - margin), max: at + (half - margin) };
             let (mut sums, mut squares, mut count, mut near) = ([0.0; 2], 0.0, 0.0, 0.0);
@@ -263,7 +284,7 @@ mod tests {
                 let (x, y) = (spacing * (a + 0.5 * (b.abs() % 2.0)), spacing * 0.75_f64.sqrt() * b);
                 writeln!(text, "L,{y},{x}").unwrap();
             }
-            let retina = import(&text, &RetinaParams::default()).unwrap();
+            let retina = import(&text, &RetinaParams::default(), None).unwrap();
             let hexagon = 0.75_f64.sqrt() * spacing * spacing;
             for i in 0..retina.len() {
                 let area = f64::from(retina.cell_area_um2[i]) / hexagon;
@@ -275,7 +296,7 @@ mod tests {
                 assert!(aperture < 1.01 && (spacing > 10.0 || aperture > 0.99), "{spacing} {aperture}");
             }
         }
-        let one = import("x_um,y_um,type\n5,5,S", &RetinaParams::default()).unwrap();
+        let one = import("x_um,y_um,type\n5,5,S", &RetinaParams::default(), None).unwrap();
         assert_eq!((one.len(), one.polygon(0).len(), one.cone_type[0]), (1, 12, ConeType::S));
     }
 }

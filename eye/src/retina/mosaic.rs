@@ -94,6 +94,8 @@ pub struct Cones {
     pub aperture_um2: Vec<f32>,
     /// Pointing error, radians, along the x_um and y_um tangents: two independent normal numbers with `pointing_sd_deg` each.
     pub pointing: Vec<[f32; 2]>,
+    /// Whether a measured cone lies at the rim of its mosaic or beside a gap, so that its cell is not known.
+    pub edge: Vec<bool>,
     /// Rare events.
     pub counts: Counts,
 }
@@ -150,6 +152,7 @@ impl Cones {
         self.cell_area_um2.push(cell as f32);
         self.aperture_um2.push((cell * coverage) as f32);
         self.pointing.push(kind.pointing);
+        self.edge.push(false);
     }
 
     /// Makes sure that `polygon_start` has its first entry.
@@ -171,6 +174,7 @@ impl Cones {
         self.cell_area_um2.push(from.cell_area_um2[i]);
         self.aperture_um2.push(from.aperture_um2[i]);
         self.pointing.push(from.pointing[i]);
+        self.edge.push(from.edge[i]);
     }
 }
 

@@ -9,7 +9,7 @@ use photoneye_eye::experiment::{Counts, Engine, Experiment, PaperSettings, Retin
 use photoneye_eye::plan::engine::automatic;
 use photoneye_eye::plan::setup::fixation;
 use photoneye_eye::plan::{Knobs, Rule};
-use photoneye_eye::retina::{Aperture, CellWalls, DensityLaw, Dropout, Generator};
+use photoneye_eye::retina::{Aperture, CellWalls, ConeType, DensityLaw, Dropout, Generator};
 use photoneye_proto::{FieldError, v1};
 
 pub use eye::DEFAULT_EYE;
@@ -134,10 +134,22 @@ fn retina(spec: Option<&v1::Retina>, white_td: f64) -> Result<Retina, FieldError
             .map(|d| Dropout { fraction: number(d.fraction, 0.0), seed: d.seed.unwrap_or(1) }),
         optic_disc: spec.optic_disc.unwrap_or(default.optic_disc),
         region_deg,
+        mosaic_type_unknown: spec.mosaic.as_ref().map(type_unknown).transpose()?.flatten(),
         mosaic: mosaic(spec.mosaic)?,
         dark_isomerizations_per_s: number(spec.dark_isomerizations_per_s, default.dark_isomerizations_per_s),
         bleaching_td: spec.bleaching.map(|bleaching| number(bleaching.adaptation_td, white_td)),
     })
+}
+
+/// Type of the measured cones that were not classified.
+fn type_unknown(spec: &v1::Mosaic) -> Result<Option<ConeType>, FieldError> {
+    use v1::mosaic::TypeUnknown as T;
+    let Some(given) = spec.type_unknown else { return Ok(None) };
+    Ok(Some(match choice("retina.mosaic.type_unknown", Some(given), T::L, T::as_str_name)? {
+        T::L => ConeType::L,
+        T::M => ConeType::M,
+        T::S => ConeType::S,
+    }))
 }
 
 /// Digest of the table of a measured mosaic.

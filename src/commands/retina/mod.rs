@@ -146,7 +146,7 @@ fn imported(args: &RetinaArgs, path: &std::path::Path, mosaic: &Mosaic) -> Resul
         return Err(Failure::usage(format!("--import: {} is over {MAX_IMPORT} bytes", path.display())));
     }
     let text = fs::read_to_string(path).map_err(failed)?;
-    let retina = import(&text, &mosaic.params)
+    let retina = import(&text, &mosaic.params, None)
         .map_err(|e| Failure::usage(format!("--import {}: {e}", path.display())))?;
     let columns = mosaic.columns(&retina);
     let mut types = [0_u64; 3];

@@ -30,6 +30,7 @@ pub fn columns(cones: &Cones, visual: &VisualMap, side: Side, ecc_deg: RangeIncl
         table.meridian_deg.push(at.y.atan2(at.x).to_degrees().rem_euclid(360.0));
         table.kind.push(cones.cone_type[cone] as u8);
         table.aperture_um2.push(cones.aperture_um2[cone]);
+        table.edge.push(cones.edge[cone]);
         for corner in cones.polygon(cone) {
             table.polygon.extend([corner.x as f32, corner.y as f32]);
         }

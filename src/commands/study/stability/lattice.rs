@@ -44,13 +44,15 @@ pub fn cases(cases: &mut Cases) {
     cases.add(GROUP, "K3 in use leaves a margin", || Ok(Found::new("K3 / limit", K3 / K3_LIMIT, 0.95)));
     cases.add(GROUP, "two cones in one place are refused", || {
         let table = "x_um,y_um,type\n0,0,L\n0,0,M\n3,0,L\n";
-        let why =
-            import(table, &RetinaParams::default()).err().map(|e| e.to_string()).ok_or("it was accepted")?;
+        let why = import(table, &RetinaParams::default(), None)
+            .err()
+            .map(|e| e.to_string())
+            .ok_or("it was accepted")?;
         Ok(Found::new(why.clone(), if why.contains("line") { 0.0 } else { 1.0 }, 0.0))
     });
     cases.add(GROUP, "two cones at the least distance and a third far away", || {
         let table = format!("x_um,y_um,type\n0,0,L\n{},0,M\n300,0,L\n", 1.01 * LEAST_DISTANCE_UM);
-        let retina = import(&table, &RetinaParams::default()).map_err(|e| e.to_string())?;
+        let retina = import(&table, &RetinaParams::default(), None).map_err(|e| e.to_string())?;
         let wrong = retina.cones.aperture_um2.iter().filter(|a| !(a.is_finite() && **a >= 0.0)).count();
         Ok(Found::new("apertures that are no numbers", wrong as f64, 0.0))
     });
@@ -63,7 +65,7 @@ pub fn cases(cases: &mut Cases) {
     }
     cases.add(GROUP, "a measured mosaic of one cone", || {
         let retina =
-            import("x_um,y_um,type\n5,5,L\n", &RetinaParams::default()).map_err(|e| e.to_string())?;
+            import("x_um,y_um,type\n5,5,L\n", &RetinaParams::default(), None).map_err(|e| e.to_string())?;
         let area = f64::from(retina.cones.aperture_um2.first().copied().unwrap_or(f32::NAN));
         Ok(Found::new("|cones - 1|, aperture a number", (retina.len() as f64 - 1.0).abs() + 0.0 * area, 0.0))
     });
