@@ -113,7 +113,7 @@ struct Mean {
 impl Mean {
     /// `None` when the report does not say how the eye moved.
     fn new(report: &Value, cones: &ConeColumns, shapes: &ConeShapes, picture_px: u32) -> Option<Self> {
-        let spec: Experiment = serde_json::from_value(report.get("spec")?.clone()).ok()?;
+        let spec: Experiment = serde_json::from_value(report.get("resolved")?.clone()).ok()?;
         let fixation = fixation(&spec).ok()?;
         Some(Self {
             gaze: gaze(&spec, &fixation).ok()?,

@@ -90,7 +90,7 @@ fn experiment(folder: &Path) -> Result<Experiment, Failure> {
     let wrong = |why: String| Failure::usage(format!("{}: {why}", path.display()));
     let text = std::fs::read_to_string(&path).map_err(|e| wrong(plain(&e)))?;
     let mut report: Value = serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
-    serde_json::from_value(report["spec"].take()).map_err(|e| wrong(format!("spec: {e}")))
+    serde_json::from_value(report["resolved"].take()).map_err(|e| wrong(format!("resolved: {e}")))
 }
 
 fn save(path: &Path, bytes: &[u8]) -> Result<(), Failure> {

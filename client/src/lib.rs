@@ -146,7 +146,8 @@ impl Client {
         let request = v1::PlanRequest { experiment: Some(experiment) };
         self.repeat(|| {
             let (mut service, request) = (self.experiments(), request.clone());
-            async move { service.plan(request).await }
+            // Experiments are large.
+            Box::pin(async move { service.plan(request).await })
         })
         .await
     }
@@ -167,7 +168,7 @@ impl Client {
         };
         self.repeat(|| {
             let (mut service, request) = (self.experiments(), request.clone());
-            async move { service.create_job(request).await }
+            Box::pin(async move { service.create_job(request).await })
         })
         .await
     }

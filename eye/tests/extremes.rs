@@ -184,7 +184,7 @@ fn files_cut_anywhere_are_refused() {
     png.truncate(png.len() - 12);
     let text =
         b"P3 4 4 255\n".iter().copied().chain(grey.iter().flat_map(|v| format!("{v:03} ").into_bytes()));
-    let yuv = Some(Yuv { matrix: Matrix::Bt709, range: Range::Full });
+    let yuv = Some(Yuv { matrix: Matrix::Bt709, range: Range::Full, chroma_siting: None });
     let plain = ClipFormat::default();
     for (name, bytes, format) in [
         ("P6", [b"P6 4 4 255\n".as_slice(), &grey].concat(), plain),

@@ -103,7 +103,10 @@ impl Service {
         if built.len() < keys.len() {
             built.extend(self.machine.documents().built(&keys).await?);
         }
-        Ok(view::plan(&prepared.planned.plan, &prepared.digest, |key| built.contains(key)))
+        let experiment = (prepared.digest.as_str(), prepared.spec.clone());
+        let mut plan = view::plan(&prepared.planned.plan, experiment, |key| built.contains(key));
+        plan.warnings.extend(prepared.warnings.iter().cloned());
+        Ok(plan)
     }
 
     /// Bounds on one job; the error says the number.
@@ -156,7 +159,7 @@ impl Service {
 }
 
 fn new_job(caller: &Caller, prepared: Prepared, plan_json: String, wish: Wish) -> NewJob {
-    let Prepared { planned, digest, experiment_json, accuracy_target } = prepared;
+    let Prepared { planned, digest, experiment_json, accuracy_target, warnings, .. } = prepared;
     let plan = &planned.plan;
     let tiles = plan.tile_artifacts.iter().map(|keys| keys.iter().map(ToString::to_string).collect());
     let shards = plan.shards.iter().map(|shard| (shard.first_frame, shard.frame_count, shard.tile));
@@ -172,7 +175,7 @@ fn new_job(caller: &Caller, prepared: Prepared, plan_json: String, wish: Wish) -
         goal: Some(Goal {
             target: accuracy_target,
             drawn: plan.engine != "EXPECTED",
-            warnings: plan.warnings.clone(),
+            warnings: plan.warnings.iter().cloned().chain(warnings).collect(),
         }),
         request: wish.request_id.map(|id| (request_name(caller, &id), digest.clone())),
         experiment_digest: digest,

@@ -28,6 +28,10 @@ pub struct Prepared {
     pub digest: String,
     /// The experiment, the model's own JSON.
     pub experiment_json: String,
+    /// The experiment as it was asked for, with the seeds that it takes.
+    pub spec: v1::Experiment,
+    /// What the uploads are warned of.
+    pub warnings: Vec<String>,
     /// `accuracy.target`.
     pub accuracy_target: f64,
 }
@@ -98,7 +102,7 @@ impl Service {
         let key = blake3::hash(&bare.encode_to_vec());
         let frames_said = bare.frames.is_some_and(|frames| frames.count.is_some());
         let read = self.plans.read.get(key, move || Ok(spec::experiment(&bare)?)).await?;
-        let film = self.check_pictures(caller, &read.video, &read.display).await?;
+        let (film, warnings) = self.check_pictures(caller, &read.video, &read.display).await?;
         self.check_mosaic(caller, &read.retina).await?;
         let mut experiment = Experiment::clone(&read);
         if let Some(frames) = film.filter(|_| !frames_said) {
@@ -114,9 +118,20 @@ impl Service {
             planned,
             digest: digest.to_string(),
             experiment_json: to_json(&experiment)?,
+            warnings,
+            spec: with_seeds(message.clone(), &experiment),
             accuracy_target: experiment.accuracy_target,
         })
     }
+}
+
+/// The message with the seeds of the experiment that was read from it.
+fn with_seeds(mut message: v1::Experiment, experiment: &Experiment) -> v1::Experiment {
+    message.counts.get_or_insert_default().seed = Some(experiment.counts.seed);
+    if let Some(movement) = message.gaze.as_mut().and_then(|gaze| gaze.movement.as_mut()) {
+        movement.seed = Some(experiment.gaze.seed);
+    }
+    message
 }
 
 /// Plans an experiment; takes milliseconds.

@@ -51,18 +51,20 @@ impl Service {
             }
         }
         merged.audit.sort_by_key(|s| (s.frame, s.tile, s.cone));
-        let plan: Value = self.stored(&facts.texts[1]).await?;
+        let mut plan: Value = self.stored(&facts.texts[1]).await?;
+        let spec = plan["spec"].take();
         // The same cones in every frame.
         let first = facts.frames.get(0).map_or(&Value::Null, |frame| &frame["types"]);
         let cones = json!({"l": first["l"]["cones"], "m": first["m"]["cones"], "s": first["s"]["cones"]});
         let counted = |name: &str| cones[name].as_u64().unwrap_or(0);
         let in_statistics = counted("l") + counted("m") + counted("s");
         let edge_cones = facts.cones.saturating_sub(in_statistics);
-        let spec: Value = self.stored(&facts.texts[0]).await?;
+        let resolved: Value = self.stored(&facts.texts[0]).await?;
         Ok(json!({
             "id": id,
             "warnings": facts.warnings,
             "spec": spec,
+            "resolved": resolved,
             "digests": facts.digests,
             "engine": plan["engine"],
             "versions": {"photoneye": env!("CARGO_PKG_VERSION"), "counts": COUNTS_VERSION},
@@ -70,7 +72,7 @@ impl Service {
                 "parts": plan["error_estimate"],
                 "how": "predicted before the run for the chosen settings, from errors measured on scenes from flat to a single lit pixel; relative error of the mean per cone, L1 over cones",
             },
-            "audit": audit(&merged.audit, &spec, plan["engine"].as_str() != Some("EXPECTED")),
+            "audit": audit(&merged.audit, &resolved, plan["engine"].as_str() != Some("EXPECTED")),
             "prediction": prediction(&plan, &merged),
             "plan": plan,
             "artifacts": facts.artifacts,
@@ -93,9 +95,9 @@ impl Service {
 }
 
 /// What the cones that were computed again say.
-fn audit(samples: &[AuditSample], spec: &Value, drawn: bool) -> Value {
+fn audit(samples: &[AuditSample], resolved: &Value, drawn: bool) -> Value {
     let Some(found) = verdict(samples, drawn) else { return Value::Null };
-    let target = spec["accuracy_target"].as_f64().unwrap_or(0.0);
+    let target = resolved["accuracy_target"].as_f64().unwrap_or(0.0);
     json!({
         "cones": found.cones,
         "relative_error": found.relative_error,

@@ -25,7 +25,7 @@ fn frames_of_film(clip: &Clip, info: &ClipInfo, display_hz: f64) -> Result<u32, 
     let Some(from_film) = clip.from_film.or(is_same.then_some(FromFilm::OneEach)) else {
         let message = format!(
             "is missing: the film has {film_hz:.3} pictures a second, the display {display_hz:.3} frames; `REPEAT` shows in \
-             each frame the picture whose time it is, `ONE_EACH` a picture a frame"
+             each frame the picture whose time it is, `RESAMPLE` the mean light of its time, `ONE_EACH` a picture a frame"
         );
         return Err(FieldError::new("frames.from_film", message));
     };
@@ -34,19 +34,21 @@ fn frames_of_film(clip: &Clip, info: &ClipInfo, display_hz: f64) -> Result<u32, 
 
 impl Service {
     /// The clip's files are there and of the display's size, and a film of another rate says what frames show of it;
-    /// the number of frames that show a film once, `None` for pictures. Only headers are read, and pictures with alpha.
+    /// the number of frames that show a film once, `None` for pictures; and what to warn of. Only headers are read, and
+    /// pictures with alpha.
     pub(crate) async fn check_pictures(
         &self,
         caller: &Caller,
         video: &Video,
         display: &Display,
-    ) -> Result<Option<u32>, Error> {
+    ) -> Result<(Option<u32>, Vec<String>), Error> {
         let Video::Clip(clip) = video else {
-            return Ok(None);
+            return Ok((None, Vec::new()));
         };
         let (width, height) = (display.width_px, display.height_px);
         let mut seen = std::collections::BTreeSet::new();
         let mut film = None;
+        let mut warnings = Vec::new();
         for (i, text) in clip.blobs.iter().enumerate() {
             if !seen.insert(text) {
                 continue;
@@ -66,10 +68,17 @@ impl Service {
                 let message = format!("a film of {} frames must be the only file", info.frames);
                 return Err(FieldError::new(path, message).into());
             }
+            let against = info.stated.and_then(|stated| stated.against(display.transfer));
+            warnings.extend(against.map(|why| {
+                format!(
+                    "{path}: {why}; its pixel values are shown by display.transfer {}",
+                    display.transfer.name()
+                )
+            }));
             film =
                 (info.frames > 1).then(|| frames_of_film(clip, &info, display.frame_rate_hz)).transpose()?;
         }
-        Ok(film)
+        Ok((film, warnings))
     }
 
     /// Refuses a mosaic that no artifact can be built from, with the line and value that are wrong.

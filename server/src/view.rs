@@ -6,7 +6,11 @@ use photoneye_proto::v1;
 use crate::jobs::{Job, JobState, Phase, State};
 
 /// The plan of an experiment; `cached` says which artifacts are there already.
-pub fn plan(plan: &Plan, experiment: &str, cached: impl Fn(&str) -> bool) -> v1::Plan {
+pub fn plan(
+    plan: &Plan,
+    (experiment, spec): (&str, v1::Experiment),
+    cached: impl Fn(&str) -> bool,
+) -> v1::Plan {
     let artifacts = plan.artifacts.iter().map(|artifact| {
         let key = artifact.key.to_string();
         v1::PlannedArtifact {
@@ -37,6 +41,7 @@ pub fn plan(plan: &Plan, experiment: &str, cached: impl Fn(&str) -> bool) -> v1:
     let frames = plan.shards.iter().map(|shard| shard.first_frame + shard.frame_count).max();
     let region = &plan.region;
     v1::Plan {
+        spec: Some(spec),
         experiment_digest: Some(experiment.to_owned()),
         engine: Some(plan.engine.clone()),
         engine_reason: Some(plan.engine_reason.clone()),

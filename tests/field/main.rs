@@ -12,6 +12,7 @@ mod luminance;
 mod mosaic;
 mod noise;
 mod pictures;
+mod rerun;
 #[path = "../e2e/support.rs"]
 #[allow(dead_code, reason = "shared with the end-to-end tests")]
 mod support;

@@ -58,6 +58,6 @@ fn experiments_that_differ_have_independent_noise() {
     };
     let (a, seed) = counts(place.path(), &given(20.0));
     let (b, _) = counts(place.path(), &given(21.0));
-    assert_eq!(seed, json!(5));
+    assert_eq!(seed, json!("5"));
     assert!(correlation(&a, &b, 4) > 0.9, "{}", correlation(&a, &b, 4));
 }

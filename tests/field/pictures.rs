@@ -110,3 +110,22 @@ fn a_white_subpixel_needs_to_be_told_what_drives_it() {
     assert!((least / red - 1.0).abs() < 1e-3, "{least} {red}");
     assert!(l_over_m(&rgbw(true, Some("MEAN"))) < 0.5 * red);
 }
+
+/// Pictures that state another transfer than the display's are shown by the display's, with a warning in plan and report.
+#[test]
+fn a_stated_transfer_that_is_not_the_displays_is_warned_of() {
+    let place = tempdir().unwrap();
+    let warned = |chunk: (&[u8; 4], &[u8])| -> String {
+        let experiment = of_picture(place.path(), &png(2, &[99, 120, 140], &[chunk]));
+        report(place.path(), &experiment)["warnings"].to_string()
+    };
+    // Primaries and transfer of BT.2100 PQ, then of sRGB.
+    let pq = warned((b"cICP", &[9, 16, 0, 1]));
+    assert!(
+        ["video.clip.blobs[0]", "cICP 16", "PQ", "display.transfer SRGB"]
+            .iter()
+            .all(|word| pq.contains(word)),
+        "{pq}"
+    );
+    assert_eq!(warned((b"cICP", &[1, 13, 0, 1])), "[]");
+}

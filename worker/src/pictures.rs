@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use photoneye_eye::video::{Limits, Picture, decode_frame, film_rate_hz};
+use photoneye_eye::video::{Limits, Picture, decode_frame, film_rate_hz, mean_light};
 
 use crate::scene::Scene;
 use crate::{Shared, WorkError, blocking};
@@ -33,34 +33,46 @@ impl Pictures {
         };
         let history = scene.exposure.history();
         let mut pictures = Vec::new();
+        let mut kept = history as usize + 1;
         for frame in (index.saturating_sub(history)..=index).rev() {
-            let name = match clip.blobs.as_slice() {
+            let parts: Vec<(Name, f64)> = match clip.blobs.as_slice() {
                 // One file may be a film.
-                [only] => (only.clone(), self.picture_of(shared, scene, only, frame).await?),
+                [only] => {
+                    let parts = self.pictures_of(shared, scene, only, frame).await?;
+                    parts.into_iter().map(|(picture, part)| ((only.clone(), picture), part)).collect()
+                }
                 files => match files.get(frame as usize).or(files.last()) {
-                    Some(file) => (file.clone(), 0),
+                    Some(file) => vec![((file.clone(), 0), 1.0)],
                     None => return Ok(Vec::new()),
                 },
             };
-            pictures.push(self.decode(shared, scene, name).await?);
+            kept += parts.len() - 1;
+            let mut decoded = Vec::with_capacity(parts.len());
+            for (name, part) in parts {
+                decoded.push((self.decode(shared, scene, name).await?, part));
+            }
+            pictures.push(blend(scene, decoded).await?);
         }
-        while self.decoded.len() > history as usize + 1 {
+        while self.decoded.len() > kept {
             self.decoded.pop_front();
         }
         Ok(pictures)
     }
 
-    /// The picture of a film that a frame shows.
-    async fn picture_of(
+    /// The pictures of a film that a frame shows, with their parts of its time.
+    async fn pictures_of(
         &mut self,
         shared: &Shared,
         scene: &Scene,
         file: &str,
         frame: u32,
-    ) -> Result<u32, WorkError> {
-        let Some(from_film) = scene.clip.as_ref().and_then(|clip| clip.from_film) else { return Ok(frame) };
+    ) -> Result<Vec<(u32, f64)>, WorkError> {
+        let Some(from_film) = scene.clip.as_ref().and_then(|clip| clip.from_film) else {
+            return Ok(vec![(frame, 1.0)]);
+        };
         let bytes = self.bytes_of(shared, file).await?;
-        Ok(film_rate_hz(&bytes).map_or(frame, |hz| from_film.picture(frame, hz, scene.frame_rate_hz)))
+        let of_rate = |hz| from_film.pictures(frame, hz, scene.frame_rate_hz);
+        Ok(film_rate_hz(&bytes).map_or(vec![(frame, 1.0)], of_rate))
     }
 
     /// The bytes of a file, which is kept.
@@ -93,4 +105,20 @@ impl Pictures {
         self.decoded.push_back((name, Arc::clone(&picture)));
         Ok(picture)
     }
+}
+
+/// The mean light of pictures; one is itself.
+async fn blend(scene: &Scene, mut parts: Vec<(Arc<Picture>, f64)>) -> Result<Arc<Picture>, WorkError> {
+    if parts.len() == 1
+        && let Some((only, _)) = parts.pop()
+    {
+        return Ok(only);
+    }
+    let curve = scene.curve;
+    let mean = blocking(move || {
+        let parts: Vec<(&Picture, f64)> =
+            parts.iter().map(|(picture, part)| (picture.as_ref(), *part)).collect();
+        mean_light(curve, &parts).ok_or_else(|| WorkError::Model("a frame shows no picture".to_owned()))
+    });
+    Ok(Arc::new(mean.await?))
 }

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
+use photoneye_eye::display::Curve;
 use photoneye_eye::experiment::{Clip, Experiment, Video};
 use photoneye_eye::exposure::{Exposure, ExposureError};
 use photoneye_eye::video::Picture;
@@ -26,6 +27,8 @@ pub(crate) struct Scene {
     pub(crate) clip: Option<Clip>,
     /// Columns and rows of the display.
     pub(crate) size_px: [u32; 2],
+    /// From pixel values to light.
+    pub(crate) curve: Curve,
     /// Frames per second of the display.
     pub(crate) frame_rate_hz: f64,
     /// Held while pictures of a clip are made ready for: once, however many shards wait.
@@ -114,11 +117,19 @@ async fn prepare(shared: &Shared, lease: &Lease, shard: &v1::Shard) -> Result<Ar
         Video::Pattern(_) => None,
     };
     let size_px = [experiment.display.width_px, experiment.display.height_px];
-    let frame_rate_hz = experiment.display.frame_rate_hz;
+    let (curve, frame_rate_hz) = (experiment.display.curve(), experiment.display.frame_rate_hz);
     blocking(move || {
         let exposure = Exposure::new(&experiment, &artifacts).map_err(model_error)?;
         let cone_types = exposure.cone_types_inside();
-        Ok(Arc::new(Scene { exposure, cone_types, clip, size_px, frame_rate_hz, preparing: Mutex::new(()) }))
+        Ok(Arc::new(Scene {
+            exposure,
+            cone_types,
+            clip,
+            size_px,
+            curve,
+            frame_rate_hz,
+            preparing: Mutex::new(()),
+        }))
     })
     .await
 }

@@ -227,6 +227,18 @@ impl Curve {
 }
 
 impl Transfer {
+    /// Its name in the schema.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Srgb => "SRGB",
+            Self::Bt1886 => "BT1886",
+            Self::Linear => "LINEAR",
+            Self::Pq => "PQ",
+            Self::Gamma(_) => "GAMMA",
+            Self::Hlg(_) => "HLG",
+        }
+    }
+
     /// Light of a pixel value over that of the value 1, of a gray scene with HLG.
     pub(crate) fn light(self, value: f64) -> f64 {
         match self {

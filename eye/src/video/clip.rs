@@ -1,9 +1,12 @@
 //! Files of a clip: which kind they are, how many frames they hold, and one frame of them.
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::decode::png_stated;
 use super::y4m::Y4m;
-use super::{DecodeError, Limits, Picture, decode_png, netpbm, png_size};
+use super::{DecodeError, Limits, Picture, StatedTransfer, decode_png, netpbm, png_size};
+use crate::display::Curve;
 
 /// What files mean where they do not say so.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,6 +24,20 @@ pub struct Yuv {
     pub matrix: Matrix,
     /// Range of the numbers.
     pub range: Range,
+    /// Where chroma samples of 4:2:0 and 4:2:2 stand; `None`: as the film says.
+    #[serde(default)]
+    pub chroma_siting: Option<ChromaSiting>,
+}
+
+/// Where a chroma sample stands among the luma samples that it belongs to (ITU-T H.273, chroma sample location types 0 to 2).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ChromaSiting {
+    /// On the left column, between rows: MPEG-2, H.264 and most video.
+    Left,
+    /// Between columns and rows: JPEG, MPEG-1.
+    Center,
+    /// On the left column and the upper row: BT.2020 and BT.2100, DV of PAL.
+    TopLeft,
 }
 
 /// Weights of the colours in luma.
@@ -61,6 +78,8 @@ pub struct ClipInfo {
     pub frames: u32,
     /// Pictures a second of a film that says it.
     pub rate_hz: Option<f64>,
+    /// What a picture says of its pixel values.
+    pub stated: Option<StatedTransfer>,
 }
 
 /// What pictures of a film the frames of a display show whose rate is another.
@@ -70,14 +89,34 @@ pub enum FromFilm {
     OneEach,
     /// Each frame the picture whose time it is, so that pictures are repeated or left out.
     Repeat,
+    /// Each frame the mean light of the film over the frame's time.
+    Resample,
 }
 
 impl FromFilm {
-    /// The picture of a frame.
-    pub fn picture(self, frame: u32, film_hz: f64, display_hz: f64) -> u32 {
+    /// The pictures of a frame, each with its part of the frame's time.
+    pub fn pictures(self, frame: u32, film_hz: f64, display_hz: f64) -> Vec<(u32, f64)> {
+        // Times in pictures; a millionth of one is rounding.
+        let per_frame = film_hz / display_hz;
+        let begin = f64::from(frame) * per_frame + 1e-6;
         match self {
-            Self::OneEach => frame,
-            Self::Repeat => (f64::from(frame) * film_hz / display_hz + 1e-6) as u32,
+            Self::OneEach => vec![(frame, 1.0)],
+            Self::Repeat => vec![(begin as u32, 1.0)],
+            Self::Resample => {
+                let end = f64::from(frame + 1) * per_frame - 1e-6;
+                let (first, last) = (begin as u32, end.max(begin) as u32);
+                let part = |picture: u32| {
+                    let [from, to] = [f64::from(picture), f64::from(picture) + 1.0];
+                    (picture, (to.min(end) - from.max(begin)).max(0.0))
+                };
+                let parts: Vec<(u32, f64)> = (first..=last).map(part).collect();
+                let all: f64 = parts.iter().map(|(_, part)| part).sum();
+                if all > 0.0 {
+                    parts.into_iter().map(|(picture, part)| (picture, part / all)).collect()
+                } else {
+                    vec![(first, 1.0)]
+                }
+            }
         }
     }
 
@@ -85,9 +124,28 @@ impl FromFilm {
     pub fn frames(self, pictures: u32, film_hz: f64, display_hz: f64) -> u32 {
         match self {
             Self::OneEach => pictures,
-            Self::Repeat => (f64::from(pictures) * display_hz / film_hz).round().max(1.0) as u32,
+            Self::Repeat | Self::Resample => {
+                (f64::from(pictures) * display_hz / film_hz).round().max(1.0) as u32
+            }
         }
     }
+}
+
+/// The picture whose light is the mean of others, each with its weight; all have one size, weights sum to 1.
+pub fn mean_light(curve: Curve, parts: &[(&Picture, f64)]) -> Option<Picture> {
+    let (first, _) = parts.first()?;
+    let mut rgb = vec![0.0_f32; first.rgb.len()];
+    rgb.par_chunks_exact_mut(3).enumerate().for_each(|(pixel, rgb)| {
+        let mut sum = [0.0; 3];
+        for (picture, weight) in parts {
+            let values = std::array::from_fn(|i| f64::from(picture.rgb[3 * pixel + i]).clamp(0.0, 1.0));
+            for (sum, light) in sum.iter_mut().zip(curve.lights(values)) {
+                *sum += weight * light;
+            }
+        }
+        rgb.copy_from_slice(&curve.values(sum).map(|value| value as f32));
+    });
+    Some(Picture { width: first.width, height: first.height, rgb })
 }
 
 /// Size and number of frames of a file, without decoding pixels. `display` is the size (columns, rows) of raw frames.
@@ -102,8 +160,15 @@ pub fn clip_info(
 ) -> Result<ClipInfo, DecodeError> {
     if let Some(raw) = format.raw {
         let [width, height] = display;
-        return Ok(ClipInfo { width, height, frames: raw_frames(bytes, raw, display)?, rate_hz: None });
+        return Ok(ClipInfo {
+            width,
+            height,
+            frames: raw_frames(bytes, raw, display)?,
+            rate_hz: None,
+            stated: None,
+        });
     }
+    let mut stated = None;
     let (width, height, frames, rate_hz) = match bytes {
         [b'P', b'2' | b'3' | b'5' | b'6', ..] => {
             let size = netpbm::size(bytes, limits)?;
@@ -115,10 +180,11 @@ pub fn clip_info(
         }
         _ => {
             let size = png_size(bytes, limits)?;
+            stated = png_stated(bytes, limits)?;
             (size.0, size.1, 1, None)
         }
     };
-    Ok(ClipInfo { width, height, frames, rate_hz })
+    Ok(ClipInfo { width, height, frames, rate_hz, stated })
 }
 
 /// Pictures a second of a Y4M film that says it, from its first line.
@@ -191,7 +257,7 @@ mod tests {
         let bytes: Vec<u8> = (0..2 * 3 * 4).collect();
         let format = ClipFormat { raw: Some(Raw { bits: 8 }), yuv: None };
         let info = clip_info(&bytes, &format, [2, 2], Limits::default()).unwrap();
-        assert_eq!(info, ClipInfo { width: 2, height: 2, frames: 2, rate_hz: None });
+        assert_eq!(info, ClipInfo { width: 2, height: 2, frames: 2, rate_hz: None, stated: None });
         let second = decode_frame(&bytes, &format, [2, 2], 1, Limits::default()).unwrap();
         assert!((second.rgb[0] - 12.0 / 255.0).abs() < 1e-7);
         let wide = ClipFormat { raw: Some(Raw { bits: 16 }), yuv: None };
@@ -201,6 +267,25 @@ mod tests {
             let error = clip_info(&bytes[..cut], &format, [2, 2], Limits::default()).unwrap_err();
             assert!(error.to_string().contains("whole number of frames of 12 bytes"), "{error}");
         }
+    }
+
+    /// 24 pictures a second on 60 Hz: frame 2 is half of picture 0 and half of 1; at 120 each frame is two pictures. No
+    /// part of a film is lost.
+    #[test]
+    fn frames_hold_the_light_of_their_time() {
+        let parts = |frame: u32, film_hz: f64| FromFilm::Resample.pictures(frame, film_hz, 60.0);
+        let near = |found: &[(u32, f64)], right: &[(u32, f64)]| {
+            found.len() == right.len()
+                && found.iter().zip(right).all(|(a, b)| a.0 == b.0 && (a.1 - b.1).abs() < 1e-5)
+        };
+        assert!(near(&parts(1, 24.0), &[(0, 1.0)]));
+        assert!(near(&parts(2, 24.0), &[(0, 0.5), (1, 0.5)]), "{:?}", parts(2, 24.0));
+        assert!(near(&parts(3, 120.0), &[(6, 0.5), (7, 0.5)]), "{:?}", parts(3, 120.0));
+        let mut shown = [0.0; 24];
+        for (picture, part) in (0..60).flat_map(|frame| parts(frame, 24.0)) {
+            shown[picture as usize] += part / 60.0;
+        }
+        assert!(shown.iter().all(|time| (time * 24.0 - 1.0).abs() < 1e-5), "{shown:?}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use super::Picture;
+use super::{Picture, StatedTransfer};
 use crate::display::MOST_SIDE_PX;
 
 /// Bounds on a picture.
@@ -89,6 +89,21 @@ pub fn png_size(bytes: &[u8], limits: Limits) -> Result<(u32, u32), DecodeError>
         decode_png(bytes, limits)?;
     }
     Ok(size)
+}
+
+/// What a PNG file says of its pixel values; of two chunks cICP counts.
+pub(super) fn png_stated(bytes: &[u8], limits: Limits) -> Result<Option<StatedTransfer>, DecodeError> {
+    let reader = reader(bytes, limits)?;
+    let info = reader.info();
+    if let Some(points) = info.coding_independent_code_points {
+        return Ok(Some(StatedTransfer::CodePoint(points.transfer_function)));
+    }
+    // Descriptions are ASCII, or UTF-16 with a byte of 0 before each letter.
+    let says_srgb = |profile: &[u8]| {
+        profile.windows(4).any(|text| text == b"sRGB")
+            || profile.windows(8).any(|text| text == b"\0s\0R\0G\0B")
+    };
+    Ok(info.icc_profile.as_deref().map(|profile| StatedTransfer::Profile { is_srgb: says_srgb(profile) }))
 }
 
 /// Decodes an 8 or 16 bit grey, colour or palette PNG. Nothing is guessed: one picture, upright and opaque.

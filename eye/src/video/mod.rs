@@ -11,16 +11,19 @@ mod pattern;
 pub mod reader;
 mod screen_view;
 mod sloan;
+mod stated;
 pub mod sweep;
 mod y4m;
 
 pub use chart::{PlacedLetter, logmar_rows, paper_rows, placed_letters};
 pub use clip::{
-    ClipFormat, ClipInfo, FromFilm, Matrix, Range, Raw, Yuv, clip_info, decode_frame, film_rate_hz,
+    ChromaSiting, ClipFormat, ClipInfo, FromFilm, Matrix, Range, Raw, Yuv, clip_info, decode_frame,
+    film_rate_hz, mean_light,
 };
 pub use decode::{DecodeError, Limits, decode_png, png_size};
 pub use pattern::draw;
 pub use screen_view::ScreenView;
+pub use stated::StatedTransfer;
 
 /// A picture: pixel values 0 to 1, row-major from the top left, red green blue.
 #[derive(Clone, Debug, PartialEq)]

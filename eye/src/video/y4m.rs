@@ -1,9 +1,10 @@
 //! Y4M films: 4:2:0, 4:2:2, 4:4:4 and mono, 8 to 16 bit, progressive; luma and chroma to red, green and blue (ITU-R BT.601, 709, 2020).
 //!
-//! Chroma is interpolated linearly between its samples. 420jpeg and plain 420 of 8 bit have them between the luma samples, 420mpeg2, 420 of
-//! more bits and 422 above every other column (and 4:2:0 between rows).
+//! Chroma is interpolated linearly between its samples. Where they stand the film says: 420jpeg between columns and rows
+//! (and so does a film that names no colour space), 420mpeg2 on every other column and between rows, 420paldv on every
+//! other column and row. 420 and 420 of more bits do not say it and need to be told; 422 stands on every other column.
 
-use super::{DecodeError, Limits, Matrix, Picture, Range, Yuv};
+use super::{ChromaSiting, DecodeError, Limits, Matrix, Picture, Range, Yuv};
 
 /// Longest line of the stream or of a frame.
 const MAX_LINE: usize = 1024;
@@ -17,8 +18,8 @@ fn wrong(why: impl Into<String>) -> DecodeError {
 struct Layout {
     /// Luma columns and rows per chroma sample; `None`: no chroma.
     chroma: Option<[usize; 2]>,
-    /// Chroma samples stand between luma columns.
-    between: bool,
+    /// Where chroma samples stand; `None`: not said.
+    siting: Option<ChromaSiting>,
     bits: u32,
 }
 
@@ -26,7 +27,7 @@ impl Layout {
     fn new(name: &str) -> Result<Self, DecodeError> {
         let unknown = || {
             wrong(format!(
-                "colour space `{name}`, read are 420, 420jpeg, 420mpeg2, 422, 444 and mono, with p10, p12, p14, p16 (mono10 to mono16) for more bits"
+                "colour space `{name}`, read are 420, 420jpeg, 420mpeg2, 420paldv, 422, 444 and mono, with p10, p12, p14, p16 (mono10 to mono16) for more bits"
             ))
         };
         let (chroma, rest) = if let Some(rest) = name.strip_prefix("420") {
@@ -41,14 +42,43 @@ impl Layout {
             return Err(unknown());
         };
         let bits = match (rest, chroma) {
-            ("", _) | ("jpeg" | "mpeg2", Some([2, 2])) => 8,
+            ("", _) | ("jpeg" | "mpeg2" | "paldv", Some([2, 2])) => 8,
             (_, None) => rest.parse().map_err(|_| unknown())?,
             _ => rest.strip_prefix('p').and_then(|bits| bits.parse().ok()).ok_or_else(unknown)?,
         };
         if !(8..=16).contains(&bits) {
             return Err(unknown());
         }
-        Ok(Self { chroma, between: matches!(name, "420" | "420jpeg"), bits })
+        let siting = match name {
+            "420jpeg" => Some(ChromaSiting::Center),
+            "420mpeg2" => Some(ChromaSiting::Left),
+            "420paldv" => Some(ChromaSiting::TopLeft),
+            _ if chroma == Some([2, 1]) => Some(ChromaSiting::Left),
+            _ => None,
+        };
+        Ok(Self { chroma, siting, bits })
+    }
+
+    /// The layout with what the experiment says of the chroma.
+    fn sited(mut self, name: &str, given: Option<ChromaSiting>) -> Result<Self, DecodeError> {
+        let is_halved = self.chroma.is_some_and(|step| step != [1, 1]);
+        let refused = |why: &str| Err(DecodeError::Unstated(format!("`yuv.chroma_siting` {why}")));
+        match (self.siting, given) {
+            (None, None) if is_halved => {
+                return refused(&format!(
+                    "is missing: the film's colour space `{name}` does not say where chroma samples stand; LEFT (MPEG-2, \
+                     H.264), CENTER (JPEG, MPEG-1) or TOP_LEFT (BT.2020)"
+                ));
+            }
+            (None, Some(_)) if !is_halved => {
+                return refused(&format!("has no meaning for the colour space `{name}`"));
+            }
+            (Some(said), Some(given)) if said != given => {
+                return refused(&format!("contradicts the film, whose colour space is `{name}`"));
+            }
+            (said, given) => self.siting = said.or(given),
+        }
+        Ok(self)
     }
 }
 
@@ -81,7 +111,7 @@ impl<'a> Y4m<'a> {
     /// Reads the header and finds the frames.
     pub fn read(bytes: &'a [u8], yuv: Option<Yuv>, limits: Limits) -> Result<Self, DecodeError> {
         let head = line(bytes, "its first line")?;
-        let [mut width, mut height, mut layout, mut said] = [None, None, Some("420"), None];
+        let [mut width, mut height, mut layout, mut said] = [None, None, Some("420jpeg"), None];
         let mut rate = "";
         for word in head.split(' ').skip(1).filter(|w| !w.is_empty()) {
             let (key, value) = word.split_at_checked(1).unwrap_or((word, ""));
@@ -105,8 +135,9 @@ impl<'a> Y4m<'a> {
         if width > limits.side_px || height > limits.side_px {
             return Err(DecodeError::TooLarge(width, height, limits.side_px));
         }
-        let layout = Layout::new(layout.unwrap_or("420"))?;
+        let name = layout.unwrap_or_default();
         let yuv = stated(yuv, said)?;
+        let layout = Layout::new(name)?.sited(name, yuv.chroma_siting)?;
         let rate_hz = rate_hz(rate);
         let mut film = Self { width, height, frames: Vec::new(), rate_hz, layout, yuv };
         film.find_frames(bytes, head.len() + 1)?;
@@ -201,6 +232,7 @@ impl<'a> Y4m<'a> {
     /// Chroma at a luma sample.
     fn chroma(&self, plane: &[f32], [columns, rows]: [usize; 2], at: [usize; 2]) -> f32 {
         let [step_x, step_y] = self.layout.chroma.unwrap_or([1, 1]);
+        let siting = self.layout.siting.unwrap_or(ChromaSiting::Left);
         let axis = |at: usize, step: usize, between: bool, count: usize| {
             let place = match (step, between) {
                 (1, _) => at as f32,
@@ -211,8 +243,8 @@ impl<'a> Y4m<'a> {
             let low = place as usize;
             (low, (low + 1).min(count - 1), place - low as f32)
         };
-        let (x0, x1, u) = axis(at[0], step_x, self.layout.between, columns);
-        let (y0, y1, v) = axis(at[1], step_y, true, rows);
+        let (x0, x1, u) = axis(at[0], step_x, siting == ChromaSiting::Center, columns);
+        let (y0, y1, v) = axis(at[1], step_y, siting != ChromaSiting::TopLeft, rows);
         let row = |y: usize| plane[y * columns + x0] * (1.0 - u) + plane[y * columns + x1] * u;
         row(y0) * (1.0 - v) + row(y1) * v
     }
@@ -243,7 +275,7 @@ fn stated(yuv: Option<Yuv>, said: Option<&str>) -> Result<Yuv, DecodeError> {
 mod tests {
     use super::*;
 
-    const LIMITED: Yuv = Yuv { matrix: Matrix::Bt709, range: Range::Limited };
+    const LIMITED: Yuv = Yuv { matrix: Matrix::Bt709, range: Range::Limited, chroma_siting: None };
 
     fn film(head: &str, planes: &[u8]) -> Vec<u8> {
         [format!("YUV4MPEG2 {head}\nFRAME\n").as_bytes(), planes].concat()
@@ -291,8 +323,9 @@ mod tests {
                         }
                     }
                     // Read them back.
-                    let picture =
-                        read(&film(&format!("W4 H2 F60:1 Ip A1:1 C{name}"), &planes), Yuv { matrix, range });
+                    let chroma_siting = name.starts_with("420p1").then_some(ChromaSiting::Left);
+                    let film = film(&format!("W4 H2 F60:1 Ip A1:1 C{name}"), &planes);
+                    let picture = read(&film, Yuv { matrix, range, chroma_siting });
                     assert_eq!((picture.width, picture.height), (4, 2));
                     for pixel in picture.rgb.chunks_exact(3) {
                         for (value, expected) in pixel.iter().zip(rgb) {
@@ -308,7 +341,7 @@ mod tests {
     #[test]
     fn chroma_stands_where_the_layout_says() {
         let planes = [[128; 8].as_slice(), &[128, 228], &[128, 128]].concat();
-        let yuv = Yuv { matrix: Matrix::Bt709, range: Range::Full };
+        let yuv = Yuv { matrix: Matrix::Bt709, range: Range::Full, chroma_siting: None };
         let blue = |name: &str| -> Vec<f32> {
             let picture = read(&film(&format!("W4 H2 C{name}"), &planes), yuv);
             picture
@@ -327,7 +360,7 @@ mod tests {
                 );
             }
         }
-        let odd = film("W3 H3 C420", &[100; 9 + 4 + 4]);
+        let odd = film("W3 H3 C420jpeg", &[100; 9 + 4 + 4]);
         assert_eq!(Y4m::read(&odd, Some(LIMITED), Limits::default()).unwrap().frames.len(), 1);
     }
 

@@ -4,7 +4,9 @@ use photoneye_eye::display::Display;
 use photoneye_eye::experiment::{
     ChartRow, Clip, Gaze, Microsaccades, Movement, Pattern, SizesHold, SloanChart, Tremor, Video,
 };
-use photoneye_eye::video::{ClipFormat, FromFilm, Matrix, Range, Raw, Yuv, logmar_rows, paper_rows};
+use photoneye_eye::video::{
+    ChromaSiting, ClipFormat, FromFilm, Matrix, Range, Raw, Yuv, logmar_rows, paper_rows,
+};
 use photoneye_proto::FieldError;
 use photoneye_proto::v1::{self, movement, pattern, video};
 use photoneye_store::BlobDigest;
@@ -54,6 +56,7 @@ fn from_film(spec: Option<&v1::Frames>) -> Result<Option<FromFilm>, FieldError> 
     Ok(Some(match choice("frames.from_film", Some(said), F::OneEach, F::as_str_name)? {
         F::OneEach => FromFilm::OneEach,
         F::Repeat => FromFilm::Repeat,
+        F::Resample => FromFilm::Resample,
     }))
 }
 
@@ -62,7 +65,7 @@ fn from_film(spec: Option<&v1::Frames>) -> Result<Option<FromFilm>, FieldError> 
 /// # Errors
 /// The first field that is missing or does not fit.
 pub fn format(path: &str, yuv: Option<&v1::Yuv>, raw: Option<&v1::Raw>) -> Result<ClipFormat, FieldError> {
-    use v1::yuv::{Matrix as M, Range as R};
+    use v1::yuv::{ChromaSiting as S, Matrix as M, Range as R};
     let yuv = match yuv {
         None => None,
         Some(yuv) => {
@@ -77,7 +80,17 @@ pub fn format(path: &str, yuv: Option<&v1::Yuv>, raw: Option<&v1::Raw>) -> Resul
                 R::Limited => Range::Limited,
                 R::Full => Range::Full,
             };
-            Some(Yuv { matrix, range })
+            let siting = |given| {
+                Ok(
+                    match choice(&format!("{path}.yuv.chroma_siting"), Some(given), S::Left, S::as_str_name)?
+                    {
+                        S::Left => ChromaSiting::Left,
+                        S::Center => ChromaSiting::Center,
+                        S::TopLeft => ChromaSiting::TopLeft,
+                    },
+                )
+            };
+            Some(Yuv { matrix, range, chroma_siting: yuv.chroma_siting.map(siting).transpose()? })
         }
     };
     let raw = match raw.map(|raw| raw.bits.unwrap_or(8)) {

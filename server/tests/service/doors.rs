@@ -41,7 +41,7 @@ async fn a_job_runs_and_survives_a_restart_and_damage() {
     let report = get(address, &format!("/v1/jobs/{id}/report")).await.json();
     assert_eq!(report["digests"]["result"], digest);
     assert!((report["frames"][1]["types"]["l"]["mean"].as_f64().unwrap() - 3.0).abs() < 1e-12);
-    assert_eq!(report["spec"]["frames"], 3);
+    assert_eq!(report["resolved"]["frames"], 3);
 
     // A damaged chunk is found when it is read, computed again, and then delivered.
     damage_one_chunk(folder.path());
