@@ -16,6 +16,8 @@ pub enum Kind {
     NotFound,
     /// The path does not take the method.
     WrongMethod,
+    /// A body is compressed.
+    WrongEncoding,
     /// The request id came with another body before.
     OtherBody,
     /// Not now: what is asked for is not there yet, or not any more.
@@ -60,6 +62,7 @@ impl Error {
             Kind::Invalid => StatusCode::BAD_REQUEST,
             Kind::NotFound => StatusCode::NOT_FOUND,
             Kind::WrongMethod => StatusCode::METHOD_NOT_ALLOWED,
+            Kind::WrongEncoding => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Kind::OtherBody => StatusCode::UNPROCESSABLE_ENTITY,
             Kind::NotReady => StatusCode::CONFLICT,
             Kind::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
@@ -76,7 +79,7 @@ impl Error {
         match self.kind {
             Kind::Invalid => tonic::Code::InvalidArgument,
             Kind::NotFound => tonic::Code::NotFound,
-            Kind::WrongMethod => tonic::Code::Unimplemented,
+            Kind::WrongMethod | Kind::WrongEncoding => tonic::Code::Unimplemented,
             Kind::OtherBody => tonic::Code::AlreadyExists,
             Kind::NotReady => tonic::Code::FailedPrecondition,
             Kind::TooLarge => tonic::Code::OutOfRange,

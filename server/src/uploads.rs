@@ -20,7 +20,15 @@ const SAME_RATE: f64 = 5e-4;
 
 /// Frames of a display that show a film once.
 fn frames_of_film(clip: &Clip, info: &ClipInfo, display_hz: f64) -> Result<u32, FieldError> {
-    let Some(film_hz) = info.rate_hz else { return Ok(info.frames) };
+    let Some(film_hz) = info.rate_hz else {
+        return match clip.from_film {
+            None | Some(FromFilm::OneEach) => Ok(info.frames),
+            Some(FromFilm::Repeat | FromFilm::Resample) => {
+                let message = "the film does not say its rate; allowed is `ONE_EACH`, a picture a frame";
+                Err(FieldError::new("frames.from_film", message))
+            }
+        };
+    };
     let is_same = (film_hz / display_hz - 1.0).abs() < SAME_RATE;
     let Some(from_film) = clip.from_film.or(is_same.then_some(FromFilm::OneEach)) else {
         let message = format!(
@@ -30,6 +38,11 @@ fn frames_of_film(clip: &Clip, info: &ClipInfo, display_hz: f64) -> Result<u32, 
         return Err(FieldError::new("frames.from_film", message));
     };
     Ok(from_film.frames(info.frames, film_hz, display_hz))
+}
+
+/// Says what `frames.from_film` is for.
+pub(crate) fn no_film() -> FieldError {
+    FieldError::new("frames.from_film", "needs a Y4M film of several pictures")
 }
 
 impl Service {
@@ -77,6 +90,9 @@ impl Service {
             }));
             film =
                 (info.frames > 1).then(|| frames_of_film(clip, &info, display.frame_rate_hz)).transpose()?;
+        }
+        if film.is_none() && clip.from_film.is_some() {
+            return Err(no_film().into());
         }
         Ok((film, warnings))
     }

@@ -13,6 +13,7 @@ mod mosaic;
 mod noise;
 mod pictures;
 mod rerun;
+mod schema;
 #[path = "../e2e/support.rs"]
 #[allow(dead_code, reason = "shared with the end-to-end tests")]
 mod support;

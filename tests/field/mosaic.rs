@@ -129,3 +129,28 @@ fn gaps_of_lost_cones_stay_gaps() {
         assert!((count / before[id] - 1.0).abs() < 2e-3, "{id}: {count}, {}", before[id]);
     }
 }
+
+/// Dichromats and blue-cone monochromats; a share of S cones above a half was refused.
+#[test]
+fn shares_of_types_may_be_anything() {
+    let place = tempdir().unwrap();
+    let shares = |ratio: Value| -> [f64; 3] {
+        let mut experiment = even_field();
+        experiment["retina"] = json!({
+            "region_deg": {"x_min": 2.5, "x_max": 3, "y_min": -0.25, "y_max": 0.25}, "cone_ratio": ratio,
+        });
+        let cones = means(place.path(), &experiment).1;
+        let mut shares = [0.0; 3];
+        for kind in &cones.kind {
+            shares[usize::from(*kind)] += 1.0 / cones.kind.len() as f64;
+        }
+        shares
+    };
+    let bcm = shares(json!({"l": 0, "m": 0, "s": 1}));
+    assert!(bcm[2] > 1.0 - 1e-9, "{bcm:?}");
+    let protanope = shares(json!({"l": 0}));
+    assert!(protanope[0] <= 0.0 && protanope[1] > 0.7, "{protanope:?}");
+    // Some 800 cones: five standard deviations.
+    let many = shares(json!({"l": 0.2, "m": 0.1, "s": 0.7}));
+    assert!((many[2] - 0.7).abs() < 5.0 * (0.7_f64 * 0.3 / 800.0).sqrt(), "{many:?}");
+}

@@ -13,6 +13,9 @@ use super::prescription::Prescription;
 use super::schematic_eye::{EyeState, SchematicEye};
 use serde::{Deserialize, Serialize};
 
+/// Smallest nominal A that a law is taken for; no eye accommodates below 0, but what it would need is looked for there.
+pub(super) const LEAST_A: f64 = -2.0;
+
 /// Navarro's accommodation law: what is added to each quantity, times ln(A + 1) or A.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -33,8 +36,6 @@ pub struct AccommodationLaw {
     pub lens_index_per_a: f64,
     /// Lens index per squared nominal dioptre.
     pub lens_index_per_a2: f64,
-    /// Smallest nominal A that the law is taken for.
-    pub least_a: f64,
     /// Largest nominal A that the law is taken for.
     pub most_a: f64,
 }
@@ -51,7 +52,6 @@ impl Default for AccommodationLaw {
             lens_back_conic: 0.0,
             lens_index_per_a: 0.0,
             lens_index_per_a2: 0.0,
-            least_a: -2.0,
             most_a: 12.0,
         }
     }
@@ -71,13 +71,12 @@ impl AccommodationLaw {
         ] {
             in_range(name, value, -limit, limit)?;
         }
-        in_range("accommodation.least_a", self.least_a, -2.0, 0.0)?;
         in_range("accommodation.most_a", self.most_a, 0.0, 20.0)?;
         Ok(())
     }
 
     fn changes_nothing(&self) -> bool {
-        *self == Self { least_a: self.least_a, most_a: self.most_a, ..Self::default() }
+        *self == Self { most_a: self.most_a, ..Self::default() }
     }
 }
 
@@ -142,7 +141,7 @@ impl SchematicEye {
         };
         // Walk to a bracket of the minimum, then parabolic steps.
         let step = 0.25;
-        let (least, most) = (law.least_a + step, (law.most_a - step).max(law.least_a + step));
+        let (least, most) = (LEAST_A + step, (law.most_a - step).max(LEAST_A + step));
         let mut middle = (vergence_d * 0.85).clamp(least, most);
         let mut at = variance(middle)?;
         for _ in 0..64 {
@@ -157,7 +156,7 @@ impl SchematicEye {
         Err(OpticsError::OutOfRange {
             field: "eye.focus.distance_cm (nominal accommodation that it needs)",
             value: middle,
-            min: law.least_a,
+            min: LEAST_A,
             max: law.most_a,
         })
     }

@@ -128,13 +128,21 @@ impl PolylineIndices {
     }
 }
 
+/// How well Herzberger's coefficients fit the wavelengths of the indices.
+const FITS: f64 = 1e-3;
+
 impl HerzbergerIndices {
-    pub(super) fn at(&self, nm: f64) -> [f64; 5] {
+    /// The coefficients a_i at a wavelength.
+    fn coefficients(&self, nm: f64) -> [f64; 4] {
         let l2 = (nm * 1e-3) * (nm * 1e-3);
         let l = 1.0 / (l2 - self.pole_um * self.pole_um);
-        let a: [f64; 4] = std::array::from_fn(|i| {
+        std::array::from_fn(|i| {
             self.constant[i] + self.square[i] * l2 + self.pole[i] * l + self.pole_square[i] * l * l
-        });
+        })
+    }
+
+    pub(super) fn at(&self, nm: f64) -> [f64; 5] {
+        let a = self.coefficients(nm);
         let at = |n: &[f64; 4]| a[0] * n[0] + a[1] * n[1] + a[2] * n[2] + a[3] * n[3];
         [1.0, at(&self.cornea), at(&self.aqueous), at(&self.lens), at(&self.vitreous)]
     }
@@ -148,6 +156,13 @@ impl HerzbergerIndices {
             ("herzberger.vitreous", self.vitreous),
         ] {
             index.into_iter().try_for_each(|n| plausible(name, n))?;
+        }
+        // At the wavelength of an index its own coefficient is 1 and the others are 0.
+        for (i, nm) in self.wavelength_nm.into_iter().enumerate() {
+            for (k, a) in self.coefficients(nm).into_iter().enumerate() {
+                let right = f64::from(u8::from(k == i));
+                in_range("herzberger.wavelength_nm (coefficient there)", a, right - FITS, right + FITS)?;
+            }
         }
         // Coefficients that are not Herzberger's give indices that are none.
         for nm in [390.0, 500.0, 600.0, 830.0] {

@@ -181,7 +181,8 @@ impl Prescription {
         self.lens_front.validate(
             ["lens_front.radius_mm", "lens_front.conic", "lens_front.thickness_mm"],
             (3.0, 60.0),
-            (1.0, 8.0),
+            // Intraocular lenses are thinner than the eye's own.
+            (0.2, 8.0),
         )?;
         self.lens_back.validate(
             ["lens_back.radius_mm", "lens_back.conic", "lens_back.thickness_mm"],

@@ -1,5 +1,6 @@
 //! A prescription in a state (pupil, accommodation, dispersion, side): the eye that rays are traced through.
 
+use super::accommodation::LEAST_A;
 use super::cardinal::Cardinal;
 use super::dispersion::Dispersion;
 use super::error::{OpticsError, in_range};
@@ -85,7 +86,7 @@ impl SchematicEye {
         in_range("pupil_mm", s.pupil_mm, 0.5, 9.0)?;
         in_range("decentre_mm", s.decentre_mm, -1.0, 1.0)?;
         let law = p.accommodation;
-        let (least, most) = law.map_or((0.0, 0.0), |law| (law.least_a, law.most_a));
+        let (least, most) = law.map_or((0.0, 0.0), |law| (LEAST_A, law.most_a));
         in_range("accommodation_a", s.accommodation_a, least, most)?;
         p.check_dispersion(s.dispersion)?;
         if let Some(wavefront) = &p.wavefront {

@@ -248,7 +248,7 @@ impl RetinaParams {
         check("peak_density_per_mm2", self.peak_density_per_mm2, 98_200.0, 324_100.0, "98200 to 324100")?;
         check("cone_ratio.l", l, 0.0, 1.0, "0 to 1")?;
         check("cone_ratio.m", m, 0.0, 1.0, "0 to 1")?;
-        check("cone_ratio.s", s, 0.0, 0.5, "0 to 0.5")?;
+        check("cone_ratio.s", s, 0.0, 1.0, "0 to 1")?;
         let off = (l + m + s - 1.0).abs();
         if off > 1e-9 {
             let (field, allowed) = ("cone_ratio", "shares that sum to 1");

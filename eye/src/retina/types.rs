@@ -63,6 +63,12 @@ pub(super) fn assign(field: &Field, cones: &Relaxed) -> Vec<Kind> {
     for i in kept(cones, &candidates) {
         kinds[i].cone_type = ConeType::S;
     }
+    // Where there are no others (blue-cone monochromats), S cones are everywhere.
+    if l + m <= 0.0 {
+        for kind in &mut kinds {
+            kind.cone_type = ConeType::S;
+        }
+    }
     kinds
 }
 

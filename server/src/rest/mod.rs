@@ -52,7 +52,22 @@ pub fn routes(service: Arc<Service>) -> Router {
         .route("/openapi.json", get(docs::openapi))
         .route("/docs", get(docs::page))
         .method_not_allowed_fallback(wrong_method)
+        .layer(axum::middleware::from_fn(uncompressed))
         .with_state(service)
+}
+
+/// Refuses bodies that are compressed: none is unpacked.
+async fn uncompressed(request: Request, next: axum::middleware::Next) -> Response {
+    let encoding = request.headers().get(header::CONTENT_ENCODING);
+    let encoding = encoding.map(|value| String::from_utf8_lossy(value.as_bytes()).trim().to_owned());
+    match encoding {
+        Some(name) if !name.is_empty() && !name.eq_ignore_ascii_case("identity") => {
+            let message =
+                format!("Content-Encoding `{name}` is not read; send the body as it is, without compression");
+            Error::new(Kind::WrongEncoding, message).into_response()
+        }
+        _ => next.run(request).await,
+    }
 }
 
 async fn wrong_method(request: Request) -> Response {

@@ -206,8 +206,55 @@ fn computed_anyway(spec: Option<&v1::Accuracy>) -> Result<Vec<Rule>, FieldError>
     Ok(rules)
 }
 
+/// Whether the engine is to be chosen: not where settings of `EXPECTED` are given.
 fn is_auto(spec: Option<&v1::Counts>) -> bool {
-    spec.is_none_or(|counts| counts.engine() == v1::counts::Engine::Auto)
+    spec.is_none_or(|counts| {
+        let knob = counts.settings.and_then(|settings| given(&knobs_of(&settings)));
+        counts.engine() == v1::counts::Engine::Auto && knob.is_none()
+    })
+}
+
+/// Settings of one engine and whether they are given.
+type Given = (&'static str, bool);
+
+/// The settings that `EXPECTED` alone has.
+fn knobs_of(settings: &v1::Settings) -> [Given; 8] {
+    [
+        ("basis_tolerance", settings.basis_tolerance.is_some()),
+        ("band_loss", settings.band_loss.is_some()),
+        ("guard_um", settings.guard_um.is_some()),
+        ("spread_width", settings.spread_width.is_some()),
+        ("oversampling", settings.oversampling.is_some()),
+        ("field_nodes", settings.field_nodes.is_some()),
+        ("ecc_nodes", settings.ecc_nodes.is_some()),
+        ("double_precision", settings.double_precision.is_some()),
+    ]
+}
+
+/// The settings that `PAPER` alone has.
+fn paper_settings_of(settings: &v1::Settings) -> [Given; 4] {
+    [
+        ("paper_rays", settings.paper_rays.is_some()),
+        ("paper_samples", settings.paper_samples.is_some()),
+        ("paper_window_um", settings.paper_window_um.is_some()),
+        ("paper_node_um", settings.paper_node_um.is_some()),
+    ]
+}
+
+fn given(settings: &[Given]) -> Option<&'static str> {
+    settings.iter().find(|(_, is_given)| *is_given).map(|(name, _)| *name)
+}
+
+/// Refuses settings that the engine does not have.
+fn settings_fit(engine: Engine, settings: &v1::Settings) -> Result<(), FieldError> {
+    let refused = |name: &str, owner: &str| {
+        Err(FieldError::new(format!("counts.settings.{name}"), format!("needs `counts.engine` `{owner}`")))
+    };
+    match (engine, given(&paper_settings_of(settings)), given(&knobs_of(settings))) {
+        (Engine::Expected | Engine::Events, Some(name), _) => refused(name, "PAPER"),
+        (Engine::Events | Engine::Paper, _, Some(name)) => refused(name, "EXPECTED"),
+        _ => Ok(()),
+    }
 }
 
 fn counts(spec: Option<&v1::Counts>) -> Result<Counts, FieldError> {
@@ -221,6 +268,7 @@ fn counts(spec: Option<&v1::Counts>) -> Result<Counts, FieldError> {
         E::Events => Engine::Events,
         E::Paper => Engine::Paper,
     };
+    settings_fit(engine, &settings)?;
     let poisson = choice("counts.noise", spec.noise, N::Poisson, N::as_str_name)? == N::Poisson;
     if !poisson && engine != Engine::Expected {
         let message = "`NONE` (means) needs `counts.engine` `EXPECTED`: photons counted one by one are noisy";

@@ -11,6 +11,8 @@ use photoneye_proto::FieldError;
 use photoneye_proto::v1::{self, movement, pattern, video};
 use photoneye_store::BlobDigest;
 
+use crate::uploads::no_film;
+
 use super::read::{choice, empty_choice, needed, number, numbers};
 
 /// The picture or pictures.
@@ -30,6 +32,7 @@ pub fn video(
         Some(video::Kind::Clip(clip)) => {
             Ok(Video::Clip(Clip { from_film: from_film(frames)?, ..clip_of(clip)? }))
         }
+        Some(video::Kind::Pattern(_)) if from_film(frames)?.is_some() => Err(no_film()),
         Some(video::Kind::Pattern(pattern)) => Ok(Video::Pattern(pattern_of(pattern, gaze, display)?)),
         None => Err(empty_choice("video", &["files", "clip", "pattern"])),
     }
@@ -165,6 +168,9 @@ fn colour(path: &str, values: &[f64], default: f64) -> Result<[f64; 3], FieldErr
 fn chart_of(spec: &pattern::SloanChart) -> Result<SloanChart, FieldError> {
     use pattern::sloan_chart::Layout as L;
     let path = "video.pattern.sloan_chart";
+    if spec.layout.is_some() && !spec.rows.is_empty() {
+        return Err(FieldError::new(format!("{path}.layout"), "excludes `rows`"));
+    }
     let rows = if spec.rows.is_empty() {
         match choice(&format!("{path}.layout"), spec.layout, L::Logmar, L::as_str_name)? {
             L::Logmar => logmar_rows(),

@@ -239,6 +239,12 @@ async fn every_other_path_answers() {
         assert!(answer.head.contains("application/problem+json"), "{path}");
         assert_eq!(answer.json()["status"], status, "{path}");
     }
+    // A compressed body is named, for uploads too: they would be kept as they came.
+    for (method, path) in [("POST", "/v1/plans"), ("POST", "/v1/jobs"), ("PUT", "/v1/blobs")] {
+        let answer = http(address, method, path, &[("content-encoding", "gzip")], b"\x1f\x8b").await;
+        assert_eq!(answer.status, 415, "{path}: {}", answer.text());
+        assert!(answer.text().contains("Content-Encoding `gzip`"), "{}", answer.text());
+    }
     let large = vec![b' '; (1 << 20) + 1];
     assert_eq!(http(address, "POST", "/v1/jobs", &[], &large).await.status, 413);
     server.shutdown().await;

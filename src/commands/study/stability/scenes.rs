@@ -103,7 +103,7 @@ fn wrong() -> Vec<(&'static str, &'static str, Value)> {
         ("luminance -1", "display.white_luminance_cd_m2", json!(-1)),
         ("luminance 1e8", "display.white_luminance_cd_m2", json!(1e8)),
         ("no pixel", "display.width_px", json!(0)),
-        ("4,097 pixels", "display.width_px", json!(4097)),
+        ("8,193 pixels", "display.width_px", json!(8193)),
         ("peak density 0", "retina.peak_density_per_mm2", json!(0)),
         ("peak density 1e9", "retina.peak_density_per_mm2", json!(1e9)),
         ("frames of 0 Hz", "display.frame_rate_hz", json!(0)),
