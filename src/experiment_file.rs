@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use photoneye_client::Client;
+use photoneye_eye::movement::recording;
 use photoneye_eye::video::{ClipFormat, Limits, clip_info};
 use photoneye_proto::{experiment_from_json, v1};
 use photoneye_store::BlobDigest;
 use serde_json::Value;
 
 use crate::failure::{Failure, plain};
-use crate::recorded_gaze;
 
 /// Most bytes of an experiment; the server takes no more.
 const MAX_SPEC_BYTES: u64 = 1 << 20;
@@ -27,6 +27,8 @@ pub struct ExperimentFile {
     pub stem: String,
     pictures: Vec<Upload>,
     mosaic: Option<Upload>,
+    /// A recorded gaze that is too long to be sent with the experiment.
+    recording: Option<Upload>,
 }
 
 /// A file that was read.
@@ -59,17 +61,18 @@ impl ExperimentFile {
             _ => Vec::new(),
         };
         let mosaic = read_mosaic(folder, experiment.retina.as_ref())?;
-        fill_in_path(folder, &mut experiment)?;
+        let recording = fill_in_path(folder, &mut experiment)?;
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         Ok(Self {
             experiment,
             stem: stem.filter(|stem| stem != "-").unwrap_or_else(|| "experiment".into()),
             pictures,
             mosaic,
+            recording,
         })
     }
 
-    /// Uploads the pictures and the mosaic and names them by digest in the experiment.
+    /// Uploads the pictures, the mosaic and a long recorded gaze and names them by digest in the experiment.
     ///
     /// # Errors
     /// When the server does not take them.
@@ -78,6 +81,12 @@ impl ExperimentFile {
             let blob = client.put_blob(table.bytes.clone()).await?;
             let kind = Some(v1::mosaic::Kind::Blob(blob));
             self.experiment.retina.get_or_insert_default().mosaic.get_or_insert_default().kind = kind;
+        }
+        if let Some(table) = &self.recording {
+            let blob = client.put_blob(table.bytes.clone()).await?;
+            if let Some(path) = recorded(&mut self.experiment) {
+                path.blob = Some(blob);
+            }
         }
         if self.pictures.is_empty() {
             return Ok(());
@@ -93,6 +102,11 @@ impl ExperimentFile {
     /// Names the pictures by digest without uploading them and gives their bytes, for work without a server. A measured mosaic stays
     /// a file.
     pub fn keep(&mut self) -> Vec<Bytes> {
+        let text = self.recording.as_ref().and_then(|table| std::str::from_utf8(&table.bytes).ok());
+        // It was read once, so that it is a table.
+        if let (Some(Ok(read)), Some(path)) = (text.map(recording::read), recorded(&mut self.experiment)) {
+            (path.t_s, path.x_arcmin, path.y_arcmin) = (read.t_s, read.x_arcmin, read.y_arcmin);
+        }
         let pictures: Vec<Bytes> = self.pictures.iter().map(|picture| picture.bytes.clone()).collect();
         if !pictures.is_empty() {
             let blobs = pictures.iter().map(|bytes| BlobDigest::of(bytes).to_string()).collect();
@@ -119,10 +133,12 @@ impl ExperimentFile {
                 (text.replace(&format!("video.clip.blobs[{i}]"), &path), i + 1)
             };
             let text = self.pictures.iter().fold((text, 0), named).0;
-            match &self.mosaic {
-                Some(table) => text.replace("retina.mosaic.blob", &table.path.display().to_string()),
+            let tables =
+                [("retina.mosaic.blob", &self.mosaic), ("gaze.movement.recorded.blob", &self.recording)];
+            tables.into_iter().fold(text, |text, (field, table)| match table {
+                Some(table) => text.replace(field, &table.path.display().to_string()),
                 None => text,
-            }
+            })
         };
         match failure {
             Failure::Usage(text) => Failure::Usage(name(text)),
@@ -152,16 +168,19 @@ fn read_text(path: &Path) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// Reads the CSV file of a recorded path, if the experiment names one.
-fn fill_in_path(folder: &Path, experiment: &mut v1::Experiment) -> Result<(), Failure> {
-    let movement = experiment.gaze.as_mut().and_then(|gaze| gaze.movement.as_mut());
-    let Some(v1::movement::Kind::Recorded(path)) = movement.and_then(|movement| movement.kind.as_mut())
-    else {
-        return Ok(());
-    };
-    let Some(file) = path.file.take() else {
-        return Ok(());
-    };
+/// The recorded path of an experiment, if it has one.
+fn recorded(experiment: &mut v1::Experiment) -> Option<&mut v1::movement::Recorded> {
+    match experiment.gaze.as_mut()?.movement.as_mut()?.kind.as_mut()? {
+        v1::movement::Kind::Recorded(path) => Some(path),
+        _ => None,
+    }
+}
+
+/// Reads the CSV file of a recorded path, if the experiment names one: its samples are put into the experiment, or the
+/// file is to be uploaded where it is long.
+fn fill_in_path(folder: &Path, experiment: &mut v1::Experiment) -> Result<Option<Upload>, Failure> {
+    let Some(path) = recorded(experiment) else { return Ok(None) };
+    let Some(file) = path.file.take() else { return Ok(None) };
     let file = folder.join(file);
     let wrong =
         |why: String| Failure::usage(format!("gaze.movement.recorded.file: {}: {why}", file.display()));
@@ -169,13 +188,16 @@ fn fill_in_path(folder: &Path, experiment: &mut v1::Experiment) -> Result<(), Fa
         return Err(wrong("excludes t_s, x_arcmin and y_arcmin".into()));
     }
     let length = std::fs::metadata(&file).map_err(|e| wrong(plain(&e)))?.len();
-    if length > MAX_SPEC_BYTES {
-        return Err(wrong(format!("{length} bytes, allowed are {MAX_SPEC_BYTES}")));
+    if length > MAX_PICTURE_BYTES {
+        return Err(wrong(format!("{length} bytes, allowed are {MAX_PICTURE_BYTES}")));
     }
     let text = std::fs::read_to_string(&file).map_err(|e| wrong(plain(&e)))?;
-    let read = recorded_gaze::read(&text).map_err(wrong)?;
+    let read = recording::read(&text).map_err(wrong)?;
+    if length > MAX_SPEC_BYTES {
+        return Ok(Some(Upload { path: file, bytes: text.into() }));
+    }
     (path.t_s, path.x_arcmin, path.y_arcmin) = (read.t_s, read.x_arcmin, read.y_arcmin);
-    Ok(())
+    Ok(None)
 }
 
 fn read_pictures(folder: &Path, paths: &[String], raw: bool) -> Result<Vec<Upload>, Failure> {

@@ -14,7 +14,6 @@ mod photon_list;
 mod pictures;
 mod profile;
 mod progress;
-mod recorded_gaze;
 mod result_folder;
 mod service;
 mod settings;

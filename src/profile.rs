@@ -52,18 +52,17 @@ pub fn write(folder: &Path) -> Result<String, Failure> {
         bands: Vec::new(),
     }];
     let mut said = format!("profile of {} cones in {}", signals.len(), folder.display());
-    if let Video::Pattern(Pattern::Sweep { from_cycles_per_degree, to_cycles_per_degree, .. }) =
-        &experiment.video
+    if let Video::Pattern(Pattern::Sweep {
+        from_cycles_per_degree, to_cycles_per_degree, sizes_hold, ..
+    }) = &experiment.video
     {
-        let [pixel_deg, _] = view.pixel_deg();
-        // The sweep is even in pixels.
+        // Where the sweep is for each cone.
         let mut signals = signals;
         for signal in &mut signals {
             let px = view.px_at(DVec2::new(signal.x_deg, signal.y_deg));
-            signal.x_deg = px.map_or(signal.x_deg, |px| (px.x - view.gaze_px.x) * pixel_deg);
+            signal.x_deg = px.map_or(signal.x_deg, |px| view.across_deg(px, *sizes_hold));
         }
-        let left_deg = -experiment.gaze.center_px[0] * pixel_deg;
-        let width_deg = f64::from(experiment.display.width_px) * pixel_deg;
+        let [left_deg, width_deg] = view.edge_and_width_deg(*sizes_hold);
         let range = [*from_cycles_per_degree, *to_cycles_per_degree];
         let contrasts = sweep::contrasts(&signals, left_deg, width_deg, range);
         let mut csv = String::from("cycles_per_degree,contrast,standard_error\n");

@@ -50,13 +50,16 @@ class Client:
         return self.blobs.Put(messages(), metadata=self.metadata).digest
 
     def experiment(self, path):
-        """Reads a spec; uploads the pictures and the mosaic that it names."""
+        """Reads a spec; uploads the pictures, the mosaic and the recorded gaze that it names."""
         path = pathlib.Path(path)
         spec = json.loads(path.read_text(encoding="utf-8-sig"))
         files = spec.get("video", {}).get("files")
         if files:
             blobs = [self.put((path.parent / name).read_bytes()) for name in files.pop("paths")]
             spec["video"] = {"clip": {"blobs": blobs, **files}}
+        recorded = spec.get("gaze", {}).get("movement", {}).get("recorded", {})
+        if "file" in recorded:
+            recorded["blob"] = self.put((path.parent / recorded.pop("file")).read_bytes())
         mosaic = spec.get("retina", {}).get("mosaic", {})
         if "file" in mosaic:
             mosaic["blob"] = self.put((path.parent / mosaic.pop("file")).read_bytes())

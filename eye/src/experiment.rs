@@ -214,6 +214,9 @@ pub enum Pattern {
         contrast: f64,
         /// Colour of the maxima: red, green, blue.
         rgb: [f64; 3],
+        /// Where the frequencies hold.
+        #[serde(default)]
+        sizes_hold: SizesHold,
     },
     /// Rows of Sloan letters.
     SloanChart(SloanChart),
@@ -320,6 +323,8 @@ pub enum Movement {
     },
     /// A recorded path: time (s), x right and y up (arcmin), times increasing; linear between, constant outside.
     Recorded(Vec<[f64; 3]>),
+    /// The same as the digest of an uploaded table, whose samples are to be read before anything is computed.
+    Recording(String),
 }
 
 /// Engines.

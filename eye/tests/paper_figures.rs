@@ -7,7 +7,7 @@ mod support;
 
 use glam::DVec2;
 use photoneye_eye::display::{Channel, Levels, Panel, Transfer, White};
-use photoneye_eye::experiment::{ChartRow, Experiment, Gaze, Movement, Pattern, SloanChart};
+use photoneye_eye::experiment::{ChartRow, Experiment, Gaze, Movement, Pattern, SizesHold, SloanChart};
 use photoneye_eye::exposure::{ConeColumns, FrameCounts, cone_columns};
 use photoneye_eye::plan::setup;
 use photoneye_eye::spectrum::Spectrum;
@@ -119,6 +119,7 @@ fn figure_14_cut_off() {
         to_cycles_per_degree: 80.0,
         contrast: 1.0,
         rgb: [1.0; 3],
+        sizes_hold: SizesHold::AtGaze,
     };
     let mut experiment = print(pattern, LASER, [720, 120]);
     experiment.display.panel.levels = Levels::Values { bits: 16, dither: false };

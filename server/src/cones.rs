@@ -1,6 +1,6 @@
 //! Cone tables and pictures of a job, made from its retina when somebody asks.
 
-use photoneye_eye::experiment::Experiment;
+use photoneye_eye::experiment::{Experiment, Movement};
 use photoneye_eye::exposure::cone_columns;
 use photoneye_eye::optics::Side;
 use photoneye_eye::picture::{ConeShapes, View};
@@ -44,10 +44,13 @@ impl Service {
 
 /// The rows of all tiles, one below the other.
 fn columns(experiment: &Experiment, artifacts: &[Vec<u8>]) -> Result<ConeColumns, Error> {
+    // Where cones are does not depend on the movement, whose samples may be in a table that nobody read here.
+    let mut experiment = experiment.clone();
+    experiment.gaze.movement = Movement::Still;
     let mut all = ConeColumns::default();
     for bytes in artifacts {
         let retina = Retina::from_bytes(bytes).map_err(internal)?;
-        let tile = cone_columns(experiment, &retina).map_err(internal)?;
+        let tile = cone_columns(&experiment, &retina).map_err(internal)?;
         all.append(&ConeColumns {
             id: tile.id,
             x_um: tile.x_um,

@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use photoneye_eye::experiment::Experiment;
+use photoneye_eye::experiment::{Experiment, Movement};
 use photoneye_eye::plan::{Machine, Plan, PlanError};
 use photoneye_proto::v1;
 use prost::Message as _;
@@ -101,12 +101,14 @@ impl Service {
         let seed = bare.counts.as_mut().and_then(|counts| counts.seed.take());
         let key = blake3::hash(&bare.encode_to_vec());
         let frames_said = bare.frames.is_some_and(|frames| frames.count.is_some());
+        let recording = self.read_recording(caller, &mut bare).await?;
         let read = self.plans.read.get(key, move || Ok(spec::experiment(&bare)?)).await?;
         let (film, warnings) = self.check_pictures(caller, &read.video, &read.display).await?;
         self.check_mosaic(caller, &read.retina).await?;
         let mut experiment = Experiment::clone(&read);
         if let Some(frames) = film.filter(|_| !frames_said) {
             experiment.frames = frames;
+            spec::recording_covers(message.gaze.as_ref(), &experiment)?;
         }
         let key = blake3::hash(&[&key.as_bytes()[..], &experiment.frames.to_le_bytes()].concat());
         let bare = experiment.clone();
@@ -114,13 +116,19 @@ impl Service {
         let planned = self.plans.planned.get(key, move || planned(&bare, &speed)).await?;
         experiment.counts.seed = seed.unwrap_or(experiment.counts.seed);
         let digest = experiment.digest().map_err(|error| Error::new(Kind::Internal, error.to_string()))?;
+        let accuracy_target = experiment.accuracy_target;
+        let spec = with_seeds(message.clone(), &experiment);
+        if let Some(table) = recording {
+            // What is stored and sent to workers names the table; they read it.
+            experiment.gaze.movement = Movement::Recording(table);
+        }
         Ok(Prepared {
             planned,
             digest: digest.to_string(),
             experiment_json: to_json(&experiment)?,
             warnings,
-            spec: with_seeds(message.clone(), &experiment),
-            accuracy_target: experiment.accuracy_target,
+            spec,
+            accuracy_target,
         })
     }
 }

@@ -3,9 +3,10 @@
 
 use photoneye_eye::display::Display;
 use photoneye_eye::experiment::{Clip, Retina, Video};
+use photoneye_eye::movement::recording;
 use photoneye_eye::retina::{RetinaGeometry, check_mosaic};
 use photoneye_eye::video::{ClipInfo, FromFilm, Limits as PictureLimits, clip_info};
-use photoneye_proto::FieldError;
+use photoneye_proto::{FieldError, v1};
 use photoneye_store::BlobDigest;
 
 use crate::access::Caller;
@@ -14,6 +15,9 @@ use crate::service::Service;
 
 /// The mosaic's field, for errors.
 const FIELD: &str = "retina.mosaic.blob";
+
+/// The recorded gaze's field, for errors.
+const RECORDING: &str = "gaze.movement.recorded.blob";
 
 /// Relative difference of rates that are taken as the same: 23.976 and 24 pictures a second are not.
 const SAME_RATE: f64 = 5e-4;
@@ -95,6 +99,31 @@ impl Service {
             return Err(no_film().into());
         }
         Ok((film, warnings))
+    }
+
+    /// Puts the samples of an uploaded recording into the message; gives its digest.
+    pub(crate) async fn read_recording(
+        &self,
+        caller: &Caller,
+        message: &mut v1::Experiment,
+    ) -> Result<Option<String>, Error> {
+        let movement = message.gaze.as_mut().and_then(|gaze| gaze.movement.as_mut());
+        let Some(v1::movement::Kind::Recorded(path)) = movement.and_then(|movement| movement.kind.as_mut())
+        else {
+            return Ok(None);
+        };
+        let Some(text) = path.blob.take() else { return Ok(None) };
+        if !(path.t_s.is_empty() && path.x_arcmin.is_empty() && path.y_arcmin.is_empty()) {
+            return Err(FieldError::new(RECORDING, "excludes t_s, x_arcmin and y_arcmin").into());
+        }
+        let bytes = self.upload(caller, RECORDING, &text).await?;
+        let read = move || {
+            let table = std::str::from_utf8(&bytes).map_err(|error| error.to_string())?;
+            recording::read(table)
+        };
+        let read = tokio::task::spawn_blocking(read).await?.map_err(|why| FieldError::new(RECORDING, why))?;
+        (path.t_s, path.x_arcmin, path.y_arcmin) = (read.t_s, read.x_arcmin, read.y_arcmin);
+        Ok(Some(text))
     }
 
     /// Refuses a mosaic that no artifact can be built from, with the line and value that are wrong.

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use photoneye_eye::display::Curve;
-use photoneye_eye::experiment::{Clip, Experiment, Video};
+use photoneye_eye::experiment::{Clip, Experiment, Movement, Video};
 use photoneye_eye::exposure::{Exposure, ExposureError};
+use photoneye_eye::movement::recording;
 use photoneye_eye::video::Picture;
 use photoneye_proto::v1;
 use photoneye_store::BlobDigest;
@@ -105,8 +106,16 @@ fn name(shard: &v1::Shard) -> BlobDigest {
 }
 
 async fn prepare(shared: &Shared, lease: &Lease, shard: &v1::Shard) -> Result<Arc<Scene>, WorkError> {
-    let experiment: Experiment = serde_json::from_str(shard.experiment_json())
+    let mut experiment: Experiment = serde_json::from_str(shard.experiment_json())
         .map_err(|error| WorkError::Passing(format!("this worker cannot read the experiment: {error}")))?;
+    if let Movement::Recording(table) = &experiment.gaze.movement {
+        let bytes = shared.cache.blob(table).await?;
+        let read = blocking(move || {
+            let text = std::str::from_utf8(bytes.as_ref()).map_err(|error| error.to_string());
+            text.and_then(recording::read).map_err(WorkError::Model)
+        });
+        experiment.gaze.movement = Movement::Recorded(read.await?.samples());
+    }
     let mut artifacts = Vec::with_capacity(shard.artifacts.len());
     for artifact in &shard.artifacts {
         artifacts.push(shared.cache.artifact(artifact).await?);

@@ -11,6 +11,7 @@
 //! The usual slerp through acos is NaN or 0/0 below 1e-8 rad; here the angle is known, so no arc cosine is taken.
 
 mod fixation;
+pub mod recording;
 mod validate;
 mod walk;
 
@@ -85,6 +86,8 @@ impl Base {
             Movement::Recorded(samples) => Self::Recorded(
                 samples.iter().map(|[t, x, y]| (*t, DVec2::new(radians(*x), radians(*y)))).collect(),
             ),
+            // Refused before, see `validate`.
+            Movement::Recording(_) => Self::Recorded(Vec::new()),
         }
     }
 
@@ -109,7 +112,10 @@ impl Base {
         match self {
             Self::Drift { .. } => Vec::new(),
             Self::Walk(_) => Walk::bends(from, to),
-            Self::Recorded(samples) => samples.iter().map(|s| s.0).filter(|t| *t > from && *t < to).collect(),
+            Self::Recorded(samples) => {
+                let first = samples.partition_point(|sample| sample.0 <= from);
+                samples[first..].iter().map(|sample| sample.0).take_while(|t| *t < to).collect()
+            }
         }
     }
 }
@@ -184,7 +190,7 @@ impl Gaze {
         let (field, value) = match &gaze.movement {
             Movement::Drift { speed_arcmin_per_s, .. } => ("drift.speed_arcmin_per_s", *speed_arcmin_per_s),
             Movement::Walk { unit_arcmin } => ("walk.unit_arcmin", *unit_arcmin),
-            Movement::Recorded(_) => ("recorded", turn),
+            Movement::Recorded(_) | Movement::Recording(_) => ("recorded", turn),
             Movement::Still => ("microsaccades", turn),
         };
         Err(RangeError::new(&format!("gaze.movement.{field}"), value, &allowed))
@@ -315,7 +321,15 @@ impl Gaze {
 }
 
 /// Bounds the work that movement asks for in a frame and over all.
+/// A table of a recording whose samples nobody has read.
+fn unread(table: &str) -> RangeError {
+    RangeError::new("gaze.movement.recorded.blob", table, "a table whose samples were read")
+}
+
 fn check_pieces(gaze: &experiment::Gaze, frame_s: f64, duration_s: f64) -> Result<(), RangeError> {
+    if let Movement::Recording(table) = &gaze.movement {
+        return Err(unread(table));
+    }
     let field = "gaze.movement";
     let most = |what: &str, pieces: f64, of: f64| {
         let allowed = format!("at most {of} {what}");

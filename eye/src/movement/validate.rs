@@ -1,10 +1,11 @@
 //! Ranges of the gaze and its movement.
 
+use super::unread;
 use crate::display::MOST_SIDE_PX;
 use crate::experiment::{Gaze, Movement, RangeError, check_range};
 
-/// Most samples of a recorded path.
-const MAX_SAMPLES: usize = 1_000_000;
+/// Most samples of a recorded path: an hour at 1 kHz.
+const MAX_SAMPLES: usize = 4_000_000;
 
 impl Gaze {
     /// Checks ranges. Field names are those of the schema.
@@ -25,6 +26,7 @@ impl Gaze {
                 check_range("gaze.movement.walk.unit_arcmin", *unit_arcmin, 0.0, 60.0)?;
             }
             Movement::Recorded(samples) => recorded(samples)?,
+            Movement::Recording(table) => return Err(unread(table)),
         }
         if let Some(tremor) = &self.tremor {
             check_range("gaze.movement.tremor.rms_arcmin", tremor.rms_arcmin, 0.0, 60.0)?;
@@ -50,6 +52,12 @@ fn recorded(samples: &[[f64; 3]]) -> Result<(), RangeError> {
     }
     let mut least = -1e6;
     for (i, [t, x, y]) in samples.iter().enumerate() {
+        // Names of fields take longer than the checks: only where something is wrong.
+        let fits = |value: f64, min: f64, max: f64| (min..=max).contains(&value);
+        if fits(*t, least, 1e6) && fits(*x, -2700.0, 2700.0) && fits(*y, -2700.0, 2700.0) {
+            least = t + 1e-9;
+            continue;
+        }
         check_range(&format!("{path}.t_s[{i}]"), *t, least, 1e6)?;
         check_range(&format!("{path}.x_arcmin[{i}]"), *x, -2700.0, 2700.0)?;
         check_range(&format!("{path}.y_arcmin[{i}]"), *y, -2700.0, 2700.0)?;

@@ -47,10 +47,10 @@ fn pixel(pattern: &Pattern, view: &ScreenView, [column, row]: [u32; 2]) -> [f64;
                 0.5 * (1.0 + contrast * (std::f64::consts::TAU * cycles + phase_deg.to_radians()).cos());
             [display.curve().value(light.clamp(0.0, 1.0)); 3]
         }
-        Pattern::Sweep { from_cycles_per_degree, to_cycles_per_degree, contrast, rgb } => {
+        Pattern::Sweep { from_cycles_per_degree, to_cycles_per_degree, contrast, rgb, sizes_hold } => {
             // The phase is the integral of the frequency from the left edge.
-            let [pixel_deg, _] = view.pixel_deg();
-            let (x, width) = (middle.x * pixel_deg, f64::from(display.width_px) * pixel_deg);
+            let [left, width] = view.edge_and_width_deg(*sizes_hold);
+            let x = view.across_deg(middle, *sizes_hold) - left;
             let rise = (to_cycles_per_degree - from_cycles_per_degree) / width;
             let cycles = from_cycles_per_degree * x + 0.5 * rise * x * x;
             let light = 0.5 * (1.0 + contrast * (std::f64::consts::TAU * cycles).cos());
@@ -121,7 +121,7 @@ impl Pattern {
                 check_range("video.pattern.grating.orientation_deg", *orientation_deg, -360.0, 360.0)?;
                 check_range("video.pattern.grating.phase_deg", *phase_deg, -360.0, 360.0)
             }
-            Self::Sweep { from_cycles_per_degree, to_cycles_per_degree, contrast, rgb } => {
+            Self::Sweep { from_cycles_per_degree, to_cycles_per_degree, contrast, rgb, .. } => {
                 check_range(
                     "video.pattern.sweep.from_cycles_per_degree",
                     *from_cycles_per_degree,
@@ -227,6 +227,7 @@ mod tests {
             to_cycles_per_degree: 40.0,
             contrast: 1.0,
             rgb: [1.0; 3],
+            sizes_hold: SizesHold::AtGaze,
         };
         let row = &red(&pattern, &display)[1];
         let crossings = row.windows(2).filter(|p| (p[0] - 0.5) * (p[1] - 0.5) < 0.0).count();

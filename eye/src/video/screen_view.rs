@@ -7,7 +7,7 @@
 use glam::{DMat2, DVec2};
 
 use crate::display::Display;
-use crate::experiment::{Experiment, Gaze};
+use crate::experiment::{Experiment, Gaze, SizesHold};
 use crate::optics::Screen;
 use crate::plan::PlanError;
 use crate::plan::setup::fixation;
@@ -84,6 +84,22 @@ impl<'a> ScreenView<'a> {
     pub fn linear_deg(&self, px: DVec2) -> DVec2 {
         let from_gaze = px - self.gaze_px;
         self.deg_per_px * DVec2::new(from_gaze.x, -from_gaze.y)
+    }
+
+    /// How far a point (pixels) is to the right of the gaze, degrees: by the pixels' size at the gaze, or by its visual
+    /// angle.
+    pub fn across_deg(&self, px: DVec2, sizes_hold: SizesHold) -> f64 {
+        match sizes_hold {
+            SizesHold::AtGaze => (px.x - self.gaze_px.x) * self.pixel_deg()[0],
+            SizesHold::Everywhere => self.visual_deg(px).x,
+        }
+    }
+
+    /// The left edge of the screen in the row of the gaze and its width, degrees as in [`ScreenView::across_deg`].
+    pub fn edge_and_width_deg(&self, sizes_hold: SizesHold) -> [f64; 2] {
+        let edge = |x: f64| self.across_deg(DVec2::new(x, self.gaze_px.y), sizes_hold);
+        let left = edge(0.0);
+        [left, edge(f64::from(self.display.width_px)) - left]
     }
 
     /// Visual angle of a point (pixels) from the line of sight, degrees right and up.

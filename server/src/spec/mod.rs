@@ -15,6 +15,7 @@ use photoneye_proto::{FieldError, v1};
 pub use eye::DEFAULT_EYE;
 pub use read::field_error;
 use read::{choice, in_range, needed, number};
+pub use scene::recording_covers;
 
 /// Cones that are computed again when nothing is said.
 const AUDIT_CONES: u32 = 6;
@@ -57,8 +58,7 @@ pub fn experiment(spec: &v1::Experiment) -> Result<Experiment, FieldError> {
             experiment.validate().map_err(field_error)?;
         }
     }
-    let (gaze, rate) = (&experiment.gaze, experiment.display.frame_rate_hz);
-    scene::recording_covers(spec.gaze.as_ref(), gaze, experiment.frames, rate)?;
+    recording_covers(spec.gaze.as_ref(), &experiment)?;
     if is_auto(spec.counts.as_ref()) {
         // What cannot be planned is refused by the plan, which says why.
         experiment.counts.engine = automatic(&experiment).unwrap_or(Engine::Expected);

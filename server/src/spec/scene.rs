@@ -2,7 +2,7 @@
 
 use photoneye_eye::display::Display;
 use photoneye_eye::experiment::{
-    ChartRow, Clip, Gaze, Microsaccades, Movement, Pattern, SizesHold, SloanChart, Tremor, Video,
+    ChartRow, Clip, Experiment, Gaze, Microsaccades, Movement, Pattern, SizesHold, SloanChart, Tremor, Video,
 };
 use photoneye_eye::video::{
     ChromaSiting, ClipFormat, FromFilm, Matrix, Range, Raw, Yuv, logmar_rows, paper_rows,
@@ -118,7 +118,7 @@ fn pattern_of(spec: &v1::Pattern, gaze: &Gaze, display: &Display) -> Result<Patt
             contrast: number(grating.contrast, 1.0),
             orientation_deg: number(grating.orientation_deg, 0.0),
             phase_deg: number(grating.phase_deg, 0.0),
-            sizes_hold: sizes_hold(grating)?,
+            sizes_hold: sizes_hold("video.pattern.grating.sizes_hold", grating.sizes_hold)?,
         },
         Some(pattern::Kind::Checkerboard(board)) => {
             Pattern::Checkerboard { square_px: board.square_px.unwrap_or(1) }
@@ -141,6 +141,7 @@ fn pattern_of(spec: &v1::Pattern, gaze: &Gaze, display: &Display) -> Result<Patt
                 to_cycles_per_degree: needed(&path("to"), sweep.to_cycles_per_degree)? + 0.0,
                 contrast: number(sweep.contrast, 1.0),
                 rgb: colour("video.pattern.sweep.rgb", &sweep.rgb, 1.0)?,
+                sizes_hold: sizes_hold("video.pattern.sweep.sizes_hold", sweep.sizes_hold)?,
             }
         }
         Some(pattern::Kind::SloanChart(chart)) => Pattern::SloanChart(chart_of(chart)?),
@@ -151,10 +152,9 @@ fn pattern_of(spec: &v1::Pattern, gaze: &Gaze, display: &Display) -> Result<Patt
     })
 }
 
-fn sizes_hold(spec: &pattern::Grating) -> Result<SizesHold, FieldError> {
+fn sizes_hold(field: &str, given: Option<i32>) -> Result<SizesHold, FieldError> {
     use pattern::grating::SizesHold as S;
-    let field = "video.pattern.grating.sizes_hold";
-    Ok(match choice(field, spec.sizes_hold, S::AtGaze, S::as_str_name)? {
+    Ok(match choice(field, given, S::AtGaze, S::as_str_name)? {
         S::AtGaze => SizesHold::AtGaze,
         S::Everywhere => SizesHold::Everywhere,
     })
@@ -236,7 +236,8 @@ fn base(spec: &v1::Movement) -> Result<Movement, FieldError> {
 
 fn recorded(spec: &movement::Recorded) -> Result<Movement, FieldError> {
     if spec.file.is_some() {
-        let message = "the server reads no files: send t_s, x_arcmin and y_arcmin";
+        let message = "the server reads no files: upload the table (PUT /v1/blobs) and send its digest as `blob`, or send \
+                       t_s, x_arcmin and y_arcmin";
         return Err(FieldError::new("gaze.movement.recorded.file", message));
     }
     let count = spec.t_s.len();
@@ -254,12 +255,7 @@ fn recorded(spec: &movement::Recorded) -> Result<Movement, FieldError> {
 ///
 /// # Errors
 /// The times of recording and frames, and what is possible.
-pub fn recording_covers(
-    spec: Option<&v1::Gaze>,
-    gaze: &Gaze,
-    frames: u32,
-    frame_rate_hz: f64,
-) -> Result<(), FieldError> {
+pub fn recording_covers(spec: Option<&v1::Gaze>, experiment: &Experiment) -> Result<(), FieldError> {
     use movement::recorded::Extend;
     let movement = spec.and_then(|gaze| gaze.movement.as_ref());
     let Some(movement::Kind::Recorded(recorded)) = movement.and_then(|movement| movement.kind.as_ref())
@@ -268,9 +264,9 @@ pub fn recording_covers(
     };
     let extend =
         choice("gaze.movement.recorded.extend", recorded.extend, Extend::Refuse, Extend::as_str_name)?;
-    let Movement::Recorded(samples) = &gaze.movement else { return Ok(()) };
+    let Movement::Recorded(samples) = &experiment.gaze.movement else { return Ok(()) };
     let ([first, ..], [last, ..]) = (samples[0], samples[samples.len() - 1]);
-    let end = f64::from(frames) / frame_rate_hz;
+    let end = f64::from(experiment.frames) / experiment.display.frame_rate_hz;
     // The last sample holds for an interval, and so may the first.
     let interval = (last - first) / (samples.len().max(2) - 1) as f64;
     let slack = interval + 1e-9;

@@ -150,6 +150,8 @@ fn uploads(server: &Server) -> BTreeMap<&'static str, String> {
         ("$film", film("60:1", 60)),
         ("$other_film", film("60:1", 90)),
         ("$raw", raw),
+        ("$gaze", b"t_s,x_arcmin,y_arcmin\n0,1,2\n1,2,3\n".to_vec()),
+        ("$other_gaze", b"t_s,x_arcmin,y_arcmin\n0,1,2\n1,20,30\n".to_vec()),
         ("$mosaic", mosaic(3.0)),
         ("$other_mosaic", mosaic(4.0)),
     ];

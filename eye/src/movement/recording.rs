@@ -1,4 +1,4 @@
-//! The file of a recorded gaze: comma-separated values with a header line; columns are read by name and unit.
+//! The table of a recorded gaze: comma-separated values with a header line; columns are read by name and unit.
 
 /// A column of the file: its name, and the factor from its unit to that of the schema.
 type Column = (&'static str, f64);
@@ -21,7 +21,7 @@ pub struct RecordedGaze {
     pub y_arcmin: Vec<f64>,
 }
 
-/// Reads a file's text. Commas, semicolons or tabs separate cells; lines that start with # are comments; a byte
+/// Reads a table's text. Commas, semicolons or tabs separate cells; lines that start with # are comments; a byte
 /// order mark and carriage returns are ignored.
 ///
 /// # Errors
@@ -82,8 +82,15 @@ fn find(names: &[&str], allowed: &[Column]) -> Result<Option<(usize, f64)>, Stri
     }
 }
 
+impl RecordedGaze {
+    /// Time (s) and places to the right and up (minutes of arc) of each sample.
+    pub fn samples(&self) -> Vec<[f64; 3]> {
+        let places = self.x_arcmin.iter().zip(&self.y_arcmin);
+        self.t_s.iter().zip(places).map(|(t, (x, y))| [t + 0.0, x + 0.0, y + 0.0]).collect()
+    }
+}
+
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 mod tests {
     use super::*;
 
