@@ -233,6 +233,9 @@ pub struct SloanChart {
     pub ink_rgb: [f64; 3],
     /// When given, the chart is drawn twice: in the upper half of the screen, and in the lower half on this paper.
     pub lower_paper_rgb: Option<[f64; 3]>,
+    /// Where the letters have their size.
+    #[serde(default)]
+    pub sizes_hold: SizesHold,
 }
 
 /// One row of letters.

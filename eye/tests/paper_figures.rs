@@ -45,6 +45,7 @@ fn chart(rows: &[(&str, f64)]) -> SloanChart {
         paper_rgb: [1.0; 3],
         ink_rgb: [0.0; 3],
         lower_paper_rgb: None,
+        sizes_hold: SizesHold::AtGaze,
     }
 }
 

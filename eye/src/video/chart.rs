@@ -8,7 +8,7 @@ use glam::DVec2;
 
 use super::ScreenView;
 use super::sloan;
-use crate::experiment::{ChartRow, SloanChart};
+use crate::experiment::{ChartRow, SizesHold, SloanChart};
 
 /// Samples across a pixel for its coverage.
 const SAMPLES: u32 = 4;
@@ -41,7 +41,8 @@ pub fn paper_rows() -> Vec<ChartRow> {
         .collect()
 }
 
-/// A row as it lies on the screen: pixels, y down.
+/// A row as it lies on the sheet of the chart: pixels, y down. The sheet is the screen, or where sizes hold everywhere that
+/// of visual angles with the gaze centre in the same place.
 struct Placed<'a> {
     letters: Vec<char>,
     row: &'a ChartRow,
@@ -56,9 +57,10 @@ pub struct Layout<'a> {
 }
 
 impl<'a> Layout<'a> {
-    /// Places the rows around a point (pixels).
+    /// Places the rows around a point of the screen (pixels).
     pub fn new(chart: &'a SloanChart, view: &ScreenView, centre_px: DVec2) -> Self {
         let arcmin_px = view.px_per_arcmin();
+        let centre_px = on_sheet(chart, view, centre_px);
         let letter = |row: &ChartRow| 5.0 * row.stroke_arcmin * arcmin_px;
         let gaps: f64 = chart.rows.iter().skip(1).map(letter).sum();
         let height: f64 = chart.rows.iter().map(letter).sum::<f64>() + gaps;
@@ -77,17 +79,21 @@ impl<'a> Layout<'a> {
         Self { rows }
     }
 
-    /// Share of a pixel that is ink.
-    pub fn coverage(&self, column: u32, row: u32) -> f64 {
+    /// Share of a pixel that is ink; `sheet` gives the place on the sheet of a point of the screen (pixels).
+    pub fn coverage(&self, column: u32, row: u32, sheet: impl Fn(DVec2) -> DVec2) -> f64 {
+        let pixel = DVec2::new(f64::from(column), f64::from(row));
+        let corners =
+            [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]].map(|c| sheet(pixel + DVec2::from_array(c)));
+        let [min, max] = [DVec2::min, DVec2::max].map(|f| corners.into_iter().fold(corners[0], f));
         let near = |p: &&Placed| {
             let (top, bottom) = (p.corner.y - 1.0, p.corner.y + 5.0 * p.stroke_px + 1.0);
-            f64::from(row) >= top && f64::from(row) <= bottom && !p.row.letters.is_empty()
+            min.y >= top && min.y <= bottom && !p.row.letters.is_empty()
         };
         let Some(placed) = self.rows.iter().find(near) else {
             return 0.0;
         };
         // Beside all letters, or between two: nothing to look at.
-        let [left, right] = [0.0, 1.0].map(|x| (f64::from(column) + x - placed.corner.x) / placed.stroke_px);
+        let [left, right] = [min.x, max.x].map(|x| (x - placed.corner.x) / placed.stroke_px);
         let begins = 10.0 * (left / 10.0).floor();
         let between = left - begins >= 5.0 && right <= begins + 10.0;
         if right <= 0.0 || left >= 10.0 * placed.letters.len() as f64 || between {
@@ -97,8 +103,7 @@ impl<'a> Layout<'a> {
         for i in 0..SAMPLES * SAMPLES {
             let part =
                 DVec2::new(f64::from(i % SAMPLES) + 0.5, f64::from(i / SAMPLES) + 0.5) / f64::from(SAMPLES);
-            let at =
-                (DVec2::new(f64::from(column), f64::from(row)) + part - placed.corner) / placed.stroke_px;
+            let at = (sheet(pixel + part) - placed.corner) / placed.stroke_px;
             // Letters stand every ten strokes.
             let letter = (at.x / 10.0).floor();
             if at.x < 0.0 || letter as usize >= placed.letters.len() {
@@ -111,6 +116,17 @@ impl<'a> Layout<'a> {
             inked += u32::from(sloan::ink(placed.letters[letter as usize], inside));
         }
         f64::from(inked) / f64::from(SAMPLES * SAMPLES)
+    }
+}
+
+/// Where a point of the screen (pixels) is on the sheet of a chart.
+pub fn on_sheet(chart: &SloanChart, view: &ScreenView, px: DVec2) -> DVec2 {
+    match chart.sizes_hold {
+        SizesHold::AtGaze => px,
+        SizesHold::Everywhere => {
+            let seen_deg = view.visual_deg(px);
+            view.gaze_px + 60.0 * view.px_per_arcmin() * DVec2::new(seen_deg.x, -seen_deg.y)
+        }
     }
 }
 
@@ -147,7 +163,13 @@ pub fn placed_letters(chart: &SloanChart, view: &ScreenView) -> Vec<PlacedLetter
             letters.push(PlacedLetter {
                 letter: *letter,
                 row,
-                corner_deg: view.linear_deg(corner_px),
+                corner_deg: match chart.sizes_hold {
+                    SizesHold::AtGaze => view.linear_deg(corner_px),
+                    SizesHold::Everywhere => {
+                        let seen = (corner_px - view.gaze_px) / (60.0 * view.px_per_arcmin());
+                        DVec2::new(seen.x, -seen.y)
+                    }
+                },
                 stroke_deg: placed.stroke_px * px_deg,
             });
         }

@@ -4,10 +4,10 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::chart::{Layout, layouts};
+use super::chart::{Layout, layouts, on_sheet};
 use super::sloan::LETTERS;
 use super::{Picture, ScreenView};
-use crate::display::{Display, MOST_SIDE_PX};
+use crate::display::MOST_SIDE_PX;
 use crate::experiment::{ChartRow, Pattern, RangeError, SizesHold, SloanChart, check_range};
 
 /// Draws a pattern as large as it is to be seen.
@@ -22,7 +22,7 @@ pub fn draw(pattern: &Pattern, view: &ScreenView) -> Picture {
     rgb.par_chunks_exact_mut(3 * width as usize).zip(0..height).for_each(|(line, row)| {
         for (rgb, column) in line.chunks_exact_mut(3).zip(0..width) {
             let colour = match pattern {
-                Pattern::SloanChart(chart) => chart_pixel(chart, &charts, display, column, row),
+                Pattern::SloanChart(chart) => chart_pixel(chart, &charts, view, [column, row]),
                 _ => pixel(pattern, view, [column, row]),
             };
             rgb.copy_from_slice(&colour.map(|v| v as f32));
@@ -73,13 +73,19 @@ fn pixel(pattern: &Pattern, view: &ScreenView, [column, row]: [u32; 2]) -> [f64;
     }
 }
 
-fn chart_pixel(chart: &SloanChart, charts: &[Layout], display: &Display, column: u32, row: u32) -> [f64; 3] {
+fn chart_pixel(
+    chart: &SloanChart,
+    charts: &[Layout],
+    view: &ScreenView,
+    [column, row]: [u32; 2],
+) -> [f64; 3] {
+    let display = view.display;
     let lower = 2 * row >= display.height_px;
     let (layout, paper) = match chart.lower_paper_rgb {
         Some(paper) if lower => (charts.last(), paper),
         _ => (charts.first(), chart.paper_rgb),
     };
-    let ink = layout.map_or(0.0, |l| l.coverage(column, row));
+    let ink = layout.map_or(0.0, |l| l.coverage(column, row, |px| on_sheet(chart, view, px)));
     if ink <= 0.0 {
         return paper;
     }
@@ -172,7 +178,9 @@ impl SloanChart {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::display::{Channel, EmissionLaw, Panel, Placement, Primary, Transfer, Waveform, White};
+    use crate::display::{
+        Channel, Display, EmissionLaw, Panel, Placement, Primary, Transfer, Waveform, White,
+    };
     use crate::experiment::Gaze;
     use crate::spectrum::Spectrum;
     use crate::video::{logmar_rows, paper_rows};
@@ -215,7 +223,13 @@ mod tests {
     }
 
     fn chart(rows: Vec<ChartRow>, lower_paper_rgb: Option<[f64; 3]>) -> Pattern {
-        Pattern::SloanChart(SloanChart { rows, paper_rgb: [1.0; 3], ink_rgb: [0.0; 3], lower_paper_rgb })
+        Pattern::SloanChart(SloanChart {
+            rows,
+            paper_rgb: [1.0; 3],
+            ink_rgb: [0.0; 3],
+            lower_paper_rgb,
+            sizes_hold: SizesHold::AtGaze,
+        })
     }
 
     /// A sweep from 0 to f over a width w has f·w/2 cycles.
@@ -250,6 +264,34 @@ mod tests {
         let runs: Vec<usize> = column.chunk_by(|a, b| a == b).map(<[bool]>::len).collect();
         assert_eq!(runs.len(), 7);
         assert!(runs[1..6].iter().all(|run| (*run as f64 - stroke_px).abs() <= 1.0), "{runs:?}");
+    }
+
+    /// A row of letters of 20.8°: at the gaze's scale it is even in pixels, everywhere its end is at the tangent of 10.4°.
+    #[test]
+    fn letters_have_their_size_everywhere() {
+        let mut display = display(2400, 64);
+        display.pixel_pitch_cm = 0.03;
+        let row = |sizes_hold| {
+            let rows = vec![ChartRow { letters: "EEEEEEEEEEEEE".into(), stroke_arcmin: 10.0 }];
+            let chart = SloanChart {
+                rows,
+                paper_rgb: [1.0; 3],
+                ink_rgb: [0.0; 3],
+                lower_paper_rgb: None,
+                sizes_hold,
+            };
+            // The upper bar of the letters, 1.5 to 2.5 strokes above the gaze.
+            red(&Pattern::SloanChart(chart), &display)[32 - 9].clone()
+        };
+        let distance_px = display.distance_cm / display.pixel_pitch_cm;
+        let last_ink = |row: &[f32]| row.iter().rposition(|v| *v < 0.5).unwrap() as f64 + 1.0 - 1200.0;
+        // Thirteen letters and twelve gaps are 125 strokes, of which half are on the right.
+        let right_deg = 62.5 * 10.0 / 60.0;
+        let flat = distance_px * (10.0_f64 / 60.0).to_radians().tan() * right_deg * 6.0;
+        assert!((last_ink(&row(SizesHold::AtGaze)) - flat).abs() < 1.5, "{flat}");
+        let everywhere = distance_px * right_deg.to_radians().tan();
+        let found = last_ink(&row(SizesHold::Everywhere));
+        assert!((found - everywhere).abs() < 1.5 && everywhere > flat + 2.0, "{found} {everywhere} {flat}");
     }
 
     /// The standard chart: the largest letters at 50 arcmin, each row smaller by 10^0.1; the paper's chart twice on one sheet.

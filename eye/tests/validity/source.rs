@@ -15,7 +15,7 @@ use glam::{DVec2, DVec3};
 use photoneye_eye::artifact::ArtifactSpec;
 use photoneye_eye::cone::{ISOMERIZATION, pigment::Pigments};
 use photoneye_eye::display::{Channel, emitters};
-use photoneye_eye::experiment::{ChartRow, Experiment, Gaze, Pattern, SloanChart, Video};
+use photoneye_eye::experiment::{ChartRow, Experiment, Gaze, Pattern, SizesHold, SloanChart, Video};
 use photoneye_eye::exposure::audit::verdict;
 use photoneye_eye::exposure::{Exposure, FrameCounts};
 use photoneye_eye::optics::{Fovea, Projection, PupilBundle, PupilRay, SchematicEye};
@@ -266,6 +266,7 @@ pub fn letter() -> Pattern {
         paper_rgb: [1.0; 3],
         ink_rgb: [0.0; 3],
         lower_paper_rgb: None,
+        sizes_hold: SizesHold::AtGaze,
     })
 }
 

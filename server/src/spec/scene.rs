@@ -193,6 +193,7 @@ fn chart_of(spec: &pattern::SloanChart) -> Result<SloanChart, FieldError> {
         paper_rgb: colour(&format!("{path}.paper_rgb"), &spec.paper_rgb, 1.0)?,
         ink_rgb: colour(&format!("{path}.ink_rgb"), &spec.ink_rgb, 0.0)?,
         lower_paper_rgb: lower,
+        sizes_hold: sizes_hold(&format!("{path}.sizes_hold"), spec.sizes_hold)?,
     })
 }
 
