@@ -405,13 +405,15 @@ mod tests {
     fn values_are_the_inverse_of_light() {
         for (transfer, black) in ALL.into_iter().flat_map(|t| [(t, 0.0), (t, 0.002)]) {
             let curve = Curve::new(transfer, 700.0, black);
+            // The published constants of HLG join its two parts to 1e-8.
+            let least = if curve.joins_colours() { 1e-8 } else { 1e-12 };
             for light in [0.0, 1e-4, 0.02, 0.5, 1.0] {
                 let back = curve.light(curve.value(light));
-                assert!((back - light).abs() < 1e-8, "{transfer:?} {light} {back}");
+                assert!((back - light).abs() < least, "{transfer:?} {light} {back}");
             }
             let colour = [0.4, 0.5, 0.3];
             for (back, light) in curve.lights(curve.values(colour)).into_iter().zip(colour) {
-                assert!((back - light).abs() < 1e-8, "{transfer:?} {light} {back}");
+                assert!((back - light).abs() < least, "{transfer:?} {light} {back}");
             }
         }
     }

@@ -320,12 +320,12 @@ impl Gaze {
     }
 }
 
-/// Bounds the work that movement asks for in a frame and over all.
 /// A table of a recording whose samples nobody has read.
 fn unread(table: &str) -> RangeError {
     RangeError::new("gaze.movement.recorded.blob", table, "a table whose samples were read")
 }
 
+/// Bounds the work that movement asks for in a frame and over all.
 fn check_pieces(gaze: &experiment::Gaze, frame_s: f64, duration_s: f64) -> Result<(), RangeError> {
     if let Movement::Recording(table) = &gaze.movement {
         return Err(unread(table));

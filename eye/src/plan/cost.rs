@@ -11,7 +11,6 @@ use super::setup::{Setup, UM_PER_TANGENT};
 use crate::display::emitters;
 use crate::experiment::{Engine, Experiment};
 use crate::exposure::audit::Work;
-
 use crate::exposure::padua::FieldNodes;
 use crate::exposure::spectral::KINDS;
 use crate::exposure::{KernelSpec, PolarShape, TABLE_TOLERANCE, TRANSFER_BLOCK, history};
