@@ -176,8 +176,8 @@ fn recorded(experiment: &mut v1::Experiment) -> Option<&mut v1::movement::Record
     }
 }
 
-/// Reads the CSV file of a recorded path, if the experiment names one: its samples are put into the experiment, or the
-/// file is to be uploaded where it is long.
+/// Reads the CSV file of a recorded path, if the experiment names one: its samples are put into the
+/// experiment, or the file is to be uploaded where it is long.
 fn fill_in_path(folder: &Path, experiment: &mut v1::Experiment) -> Result<Option<Upload>, Failure> {
     let Some(path) = recorded(experiment) else { return Ok(None) };
     let Some(file) = path.file.take() else { return Ok(None) };

@@ -12,8 +12,8 @@ impl Experiment {
         mixed(self.counts.seed, of_mosaic)
     }
 
-    /// A seed that follows from everything but the seeds of counts and movement. It has 53 bits, so that every JSON
-    /// reader keeps it.
+    /// A seed that follows from everything but the seeds of counts and movement. It has 53 bits, so that
+    /// every JSON reader keeps it.
     ///
     /// # Errors
     /// Never for an experiment that was validated.

@@ -72,7 +72,8 @@ fn pixels_of_any_size() {
     assert!(point > 0.0 && (point / pixel - 1.0).abs() < 1e-3, "{point} {pixel}");
 }
 
-/// 8192 x 8192 pixels: planned within a second and 4 GB when they are fine, refused by name when they are a hemisphere, and a patch of them runs.
+/// 8192 x 8192 pixels: planned within a second and 4 GB when they are fine, refused by name when they are a
+/// hemisphere, and a patch of them runs.
 #[test]
 fn the_largest_display_is_planned_or_refused() {
     let mut experiment = small(Pattern::Checkerboard { square_px: 64 });

@@ -50,9 +50,9 @@ pub(crate) fn no_film() -> FieldError {
 }
 
 impl Service {
-    /// The clip's files are there and of the display's size, and a film of another rate says what frames show of it;
-    /// the number of frames that show a film once, `None` for pictures; and what to warn of. Only headers are read, and
-    /// pictures with alpha.
+    /// The clip's files are there and of the display's size, and a film of another rate says what frames show
+    /// of it; the number of frames that show a film once, `None` for pictures; and what to warn of. Only
+    /// headers are read, and pictures with alpha.
     pub(crate) async fn check_pictures(
         &self,
         caller: &Caller,

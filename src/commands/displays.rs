@@ -150,7 +150,8 @@ fn converted(entry: &Map<String, Value>, spectra_of: &str) -> Result<Value, Stri
     Ok(display)
 }
 
-/// ColorVideoVDP's own law: 1.2 up to 1000 cd/m², beyond it BT.2100's, less with a bright surround (BBC WHP 369).
+/// ColorVideoVDP's own law: 1.2 up to 1000 cd/m², beyond it BT.2100's, less with a bright surround (BBC WHP
+/// 369).
 fn hlg_system_gamma(white_cd_m2: f64, surround_lux: Option<f64>) -> f64 {
     if white_cd_m2 <= 1000.0 {
         return 1.2;

@@ -52,7 +52,8 @@ pub struct ConeColumns {
     pub kind: Vec<u8>,
     /// Light-collecting area, µm².
     pub aperture_um2: Vec<f32>,
-    /// Whether it lies at the rim of a measured mosaic or beside a gap; such cones are left out of statistics.
+    /// Whether it lies at the rim of a measured mosaic or beside a gap; such cones are left out of
+    /// statistics.
     pub edge: Vec<bool>,
     /// Where each polygon begins in `polygon`, and its end: one more value than there are cones.
     pub polygon_start: Vec<u32>,

@@ -67,7 +67,8 @@ fn a_film_of_another_rate_is_shown_in_its_time_or_refused() {
     assert_eq!(means(&experiment("0:0", None)), each);
 }
 
-/// Where chroma samples stand changes the colours beside an edge; a film that does not say it was taken as JPEG's.
+/// Where chroma samples stand changes the colours beside an edge; a film that does not say it was taken as
+/// JPEG's.
 #[test]
 fn chroma_stands_where_the_film_says_or_is_asked_for() {
     let place = tempdir().unwrap();

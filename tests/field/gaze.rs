@@ -58,8 +58,8 @@ fn recordings_cover_the_frames_or_hold() {
     }
 }
 
-/// An hour at 1 kHz, 3.6 million samples, is uploaded and read by server and worker; its first frames are those of its first
-/// samples. It was refused as larger than 1 MiB.
+/// An hour at 1 kHz, 3.6 million samples, is uploaded and read by server and worker; its first frames are
+/// those of its first samples. It was refused as larger than 1 MiB.
 #[test]
 fn an_hour_of_recording_is_read() {
     let place = tempdir().unwrap();
@@ -82,7 +82,8 @@ fn an_hour_of_recording_is_read() {
     assert!(hour["spec"]["gaze"]["movement"]["recorded"]["blob"].is_string(), "{}", hour["spec"]);
 }
 
-/// The frames of a film are known when its file was read: a recording that covers the first alone was taken for all.
+/// The frames of a film are known when its file was read: a recording that covers the first alone was taken
+/// for all.
 #[test]
 fn recordings_cover_the_frames_of_a_film() {
     let place = tempdir().unwrap();

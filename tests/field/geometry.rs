@@ -14,8 +14,8 @@ use crate::{assert_refused, run, texts};
 /// that axis.
 const CENTRE_MM: [f64; 2] = [13.5, 0.5];
 
-/// One lit pixel of the reference wavelength behind a small pupil: its image is where its chief ray lands. Pixels are
-/// half a millimetre wide.
+/// One lit pixel of the reference wavelength behind a small pupil: its image is where its chief ray lands.
+/// Pixels are half a millimetre wide.
 fn lit(at_px: [u32; 2], gaze_px: [f64; 2]) -> Value {
     json!({
         "eye": {"pupil_mm": 1},
@@ -166,9 +166,9 @@ fn the_eye_turns_about_its_rotation_centre() {
     }
 }
 
-/// A turn of 0.9° of an eye that looks 24° aside: before a flat screen places beside the middle of a patch move by more or
-/// less, and the light changes. With one movement for all cones squares of one pixel were off by 23 %
-/// at 1°.
+/// A turn of 0.9° of an eye that looks 24° aside: before a flat screen places beside the middle of a patch
+/// move by more or less, and the light changes. With one movement for all cones squares of one pixel were off
+/// by 23 % at 1°.
 #[test]
 fn each_cone_sees_the_screen_move_by_its_own_amount() {
     let place = tempdir().unwrap();

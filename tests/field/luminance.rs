@@ -38,7 +38,8 @@ fn ratio(transfer: &Value, values: [f64; 3], linear: [f64; 3]) -> f64 {
     mean(transfer, values) / mean(&json!({"transfer": "LINEAR", "contrast": transfer["contrast"]}), linear)
 }
 
-/// HLG 75 % is 203 cd/m² on 1000 cd/m² (ITU-R BT.2408); red alone is darker than the red of white, by 0.2627^0.2.
+/// HLG 75 % is 203 cd/m² on 1000 cd/m² (ITU-R BT.2408); red alone is darker than the red of white, by
+/// 0.2627^0.2.
 #[test]
 fn hlg_has_its_system_gamma() {
     let hlg = json!({"transfer": "HLG"});
@@ -48,7 +49,8 @@ fn hlg_has_its_system_gamma() {
     assert!((found - 1.0).abs() < 1e-4, "{found}");
 }
 
-/// BT.1886 with a contrast of 1000: V = 0.3 is (V + β(1 − V))^2.4 of white, β = 0.001^(1/2.4); a plain power adds black.
+/// BT.1886 with a contrast of 1000: V = 0.3 is (V + β(1 − V))^2.4 of white, β = 0.001^(1/2.4); a plain power
+/// adds black.
 #[test]
 fn black_lifts_bt1886_and_adds_to_a_power() {
     let lifted = (0.3 + 0.7 * 0.001_f64.powf(1.0 / 2.4)).powf(2.4);

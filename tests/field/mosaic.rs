@@ -52,8 +52,8 @@ fn means(folder: &Path, experiment: &Value) -> (Vec<f64>, ConeColumns, Value) {
     (bits.into_iter().map(|bits| f64::from(f32::from_bits(bits))).collect(), cones, report)
 }
 
-/// Equal cones in an even field count the same. Those at the rim counted up to 4.55 times as much. They are marked, and
-/// left out of the report's means.
+/// Equal cones in an even field count the same. Those at the rim counted up to 4.55 times as much. They are
+/// marked, and left out of the report's means.
 #[test]
 fn cones_at_the_rim_count_as_those_inside() {
     let place = tempdir().unwrap();
@@ -62,7 +62,8 @@ fn cones_at_the_rim_count_as_those_inside() {
     let mean = counts.iter().sum::<f64>() / counts.len() as f64;
     let [least, most] = [f64::min, f64::max].map(|f| counts.iter().copied().reduce(f).unwrap() / mean);
     assert!(counts.len() == 618 && least > 0.99 && most < 1.01, "{} {least} {most}", counts.len());
-    // 96 cones lie on the border of 25 x 25, 12 around the hole; rows are shifted, so that some of the second column are open, too.
+    // 96 cones lie on the border of 25 x 25, 12 around the hole; rows are shifted, so that some of the second
+    // column are open, too.
     let edge = cones.edge.iter().filter(|edge| **edge).count();
     assert!((96 + 12..=96 + 12 + 24).contains(&edge), "{edge}");
     let far = |i: usize| cones.x_um[i].abs() > 35.0 || cones.y_um[i].abs() > 30.0;

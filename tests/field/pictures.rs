@@ -9,8 +9,8 @@ use tempfile::tempdir;
 use crate::support::small_experiment;
 use crate::{assert_refused, report, run};
 
-/// A PNG file of 8 x 8 pixels of one colour (type 2 RGB, 4 gray with alpha, 6 RGB with alpha), with chunks before the
-/// pixels.
+/// A PNG file of 8 x 8 pixels of one colour (type 2 RGB, 4 gray with alpha, 6 RGB with alpha), with chunks
+/// before the pixels.
 fn png(colour: u8, pixel: &[u8], before: &[(&[u8; 4], &[u8])]) -> Vec<u8> {
     let mut bytes = b"\x89PNG\r\n\x1a\n".to_vec();
     let mut chunk = |name: &[u8; 4], data: &[u8]| {
@@ -79,8 +79,8 @@ fn pictures_that_would_be_guessed_are_refused() {
     assert!(opaque["frames"][0]["types"]["l"]["mean"].as_f64().unwrap() > 0.0);
 }
 
-/// A white subpixel is driven by the least of red, green and blue: pure red lights none of it. The mean of the three
-/// was taken, silently.
+/// A white subpixel is driven by the least of red, green and blue: pure red lights none of it. The mean of
+/// the three was taken, silently.
 #[test]
 fn a_white_subpixel_needs_to_be_told_what_drives_it() {
     let place = tempdir().unwrap();
@@ -111,7 +111,8 @@ fn a_white_subpixel_needs_to_be_told_what_drives_it() {
     assert!(l_over_m(&rgbw(true, Some("MEAN"))) < 0.5 * red);
 }
 
-/// Pictures that state another transfer than the display's are shown by the display's, with a warning in plan and report.
+/// Pictures that state another transfer than the display's are shown by the display's, with a warning in plan
+/// and report.
 #[test]
 fn a_stated_transfer_that_is_not_the_displays_is_warned_of() {
     let place = tempdir().unwrap();

@@ -8,7 +8,8 @@ use tempfile::tempdir;
 use crate::support::{Server, photoneye, small_experiment, texts};
 use crate::{report, run};
 
-/// `spec` of a report was the model's own JSON, which no command reads, with seeds as numbers that JSON readers round.
+/// `spec` of a report was the model's own JSON, which no command reads, with seeds as numbers that JSON
+/// readers round.
 #[test]
 fn the_spec_of_a_report_is_the_same_experiment() {
     let place = tempdir().unwrap();

@@ -98,8 +98,8 @@ pub enum EmissionLaw {
 }
 
 impl EmissionLaw {
-    /// Irradiance at the corneal apex, across the light, from the point `t` of a screen over that from a point at the
-    /// nominal distance that faces the eye: the law and the squared distance.
+    /// Irradiance at the corneal apex, across the light, from the point `t` of a screen over that from a
+    /// point at the nominal distance that faces the eye: the law and the squared distance.
     pub fn irradiance(self, screen: &Screen, t: DVec2) -> f64 {
         screen.nearness(t) * self.towards(screen.emission_cosine(t))
     }
@@ -138,14 +138,14 @@ pub enum Channel {
 }
 
 impl Channel {
-    /// What drives it of the light of red, green and blue.
-    pub(crate) fn of(self, [red, green, blue]: [f64; 3]) -> f64 {
+    /// What drives it, from the light of red (0), green (1) and blue (2).
+    pub(crate) fn of(self, light: impl Fn(usize) -> f64) -> f64 {
         match self {
-            Self::Red => red,
-            Self::Green => green,
-            Self::Blue => blue,
-            Self::White => (red + green + blue) / 3.0,
-            Self::Least => red.min(green).min(blue),
+            Self::Red => light(0),
+            Self::Green => light(1),
+            Self::Blue => light(2),
+            Self::White => (light(0) + light(1) + light(2)) / 3.0,
+            Self::Least => light(0).min(light(1)).min(light(2)),
             Self::Room => 0.0,
         }
     }
@@ -298,6 +298,7 @@ impl Display {
     /// The same for pixels of a row, `rgb[3·pixel + channel]`, the first of them at `place`.
     pub fn light_row(&self, channel: Channel, rgb: &[f32], place: Place, light: &mut [f64]) {
         let curve = self.curve();
+        // What depends on a pixel's place or on all its colours is made pixel by pixel.
         let is_by_pixel = matches!(self.panel.levels, Levels::Planes { .. })
             || channel == Channel::Room
             || curve.joins_colours();
@@ -326,6 +327,7 @@ impl Display {
                 }
             }
         };
+        // Join the colours of a white primary.
         if let Some(i) = channel.index() {
             one(i, light);
         } else {
@@ -365,7 +367,8 @@ impl Display {
     pub fn driven(&self, channel: Channel, rgb: &[f32], place: Place) -> f64 {
         let curve = self.curve();
         if curve.joins_colours() {
-            return channel.of(self.driven_colours(curve, rgb, place));
+            let lights = self.driven_colours(curve, rgb, place);
+            return channel.of(|i| lights[i]);
         }
         let light = |i: usize| {
             let value = f64::from(rgb[i]).clamp(0.0, 1.0);
@@ -375,14 +378,7 @@ impl Display {
                 Levels::Planes { bits, dither } => stepped(curve.light(value), bits, dither, place),
             }
         };
-        match channel {
-            Channel::Red => light(0),
-            Channel::Green => light(1),
-            Channel::Blue => light(2),
-            Channel::White => (light(0) + light(1) + light(2)) / 3.0,
-            Channel::Least => light(0).min(light(1)).min(light(2)),
-            Channel::Room => 0.0,
-        }
+        channel.of(light)
     }
 
     /// Light of red, green and blue above black, where it depends on all three values.

@@ -1,15 +1,16 @@
 //! From pixel values to light.
 //!
-//! sRGB, gamma, BT.1886 and linear values are relative to the display's white. BT.1886 lifts the value by the display's
-//! black: `L = (V + β (1 − V))^2.4` with `β = black^(1/2.4)`.
+//! sRGB, gamma, BT.1886 and linear values are relative to the display's white. BT.1886 lifts the value by the
+//! display's black: `L = (V + β (1 − V))^2.4` with `β = black^(1/2.4)`.
 //!
 //! PQ codes are absolute (SMPTE ST 2084): a code stands for a luminance whatever the screen,
 //! `Y = 10 000 cd/m² · (max(r − c₁, 0)/(c₂ − c₃ r))^(1/m₁)` with `r = V^(1/m₂)`,
 //! c = 107/128, 2413/128, 2392/128, m = 2610/16384, 2523/32. What is brighter than the display's white is shown as
 //! white, what is darker than its black as black.
 //!
-//! HLG (ITU-R BT.2100-2) joins the colours: with the light of the scene `E = OETF⁻¹(V + β (1 − V))` the display shows
-//! `E Y^(γ − 1)`, `Y = 0.2627 R + 0.6780 G + 0.0593 B` of the scene, and `β = OETF(black^(1/γ))`.
+//! HLG (ITU-R BT.2100-2) joins the colours: with the light of the scene `E = OETF⁻¹(V + β (1 − V))` the
+//! display shows `E Y^(γ − 1)`, `Y = 0.2627 R + 0.6780 G + 0.0593 B` of the scene, and `β =
+//! OETF(black^(1/γ))`.
 
 use std::sync::OnceLock;
 
@@ -62,8 +63,8 @@ pub struct Curve {
     system_gamma: f64,
 }
 
-/// System gamma of HLG on a display whose white has a luminance (cd/m²): BT.2100-2, note 5f, and beyond 400 to 2000 cd/m²
-/// the extended form of BT.2390.
+/// System gamma of HLG on a display whose white has a luminance (cd/m²): BT.2100-2, note 5f, and beyond 400
+/// to 2000 cd/m² the extended form of BT.2390.
 fn system_gamma(white_cd_m2: f64) -> f64 {
     if (400.0..=2000.0).contains(&white_cd_m2) {
         1.2 + 0.42 * (white_cd_m2 / 1000.0).log10()
@@ -84,6 +85,7 @@ fn hlg_value(scene: f64) -> f64 {
     if scene <= 1.0 / 12.0 { (3.0 * scene).sqrt() } else { a * (12.0 * scene - b).ln() + c }
 }
 
+/// Luminance of red, green and blue light of BT.2100.
 fn luma(rgb: [f64; 3]) -> f64 {
     BT2100_LUMA.iter().zip(rgb).map(|(weight, light)| weight * light).sum()
 }
@@ -112,12 +114,10 @@ impl Curve {
         matches!(self.transfer, Transfer::Hlg(_))
     }
 
-    /// Light of a pixel value over the display's white, above its black, at most 1; with HLG that of a gray pixel.
+    /// Light of a pixel value over the display's white, above its black, at most 1; with HLG that of a gray
+    /// pixel.
     pub fn light(self, value: f64) -> f64 {
-        match self.transfer {
-            Transfer::Hlg(_) => self.above_black(self.scene(value).powf(self.system_gamma)),
-            _ => self.shown(self.transfer.light(self.lifted(value))),
-        }
+        self.shown(self.transfer.light(self.lifted(value)))
     }
 
     /// The same for the red, green and blue of a pixel.
@@ -125,7 +125,7 @@ impl Curve {
         if !self.joins_colours() {
             return values.map(|value| self.light(value));
         }
-        let scene = values.map(|value| self.scene(value));
+        let scene = values.map(|value| self.transfer.light(self.lifted(value)));
         let bright = luma(scene).powf(self.system_gamma - 1.0);
         scene.map(|light| self.above_black(if light > 0.0 { light * bright } else { 0.0 }))
     }
@@ -134,7 +134,7 @@ impl Curve {
     pub fn value(self, light: f64) -> f64 {
         let with_black = self.black + (1.0 - self.black) * light;
         match self.transfer {
-            Transfer::Hlg(_) => self.unlifted(hlg_value(with_black.powf(1.0 / self.system_gamma))),
+            Transfer::Hlg(_) => self.unlifted(self.transfer.value(with_black.powf(1.0 / self.system_gamma))),
             Transfer::Bt1886 => self.unlifted(self.transfer.value(with_black)),
             Transfer::Pq => self.transfer.value(with_black / self.scale),
             Transfer::Srgb | Transfer::Linear | Transfer::Gamma(_) => self.transfer.value(light),
@@ -150,12 +150,12 @@ impl Curve {
         let lights = lights.map(|light| self.black + (1.0 - self.black) * light);
         // The luminance of the display is that of the scene to the power of the system gamma.
         let bright = luma(lights).powf((1.0 - self.system_gamma) / self.system_gamma);
-        let value = |light: f64| if light > 0.0 { self.unlifted(hlg_value(light * bright)) } else { 0.0 };
-        lights.map(|light| value(light).clamp(0.0, 1.0))
+        let scene = lights.map(|light| if light > 0.0 { light * bright } else { 0.0 });
+        scene.map(|light| self.unlifted(self.transfer.value(light)).clamp(0.0, 1.0))
     }
 
-    /// As [`Curve::light`] of a clamped value; values of 8-bit pictures are looked up where the curve has no parameter (the
-    /// same numbers, ten times as fast).
+    /// As [`Curve::light`] of a clamped value; values of 8-bit pictures are looked up where the curve has no
+    /// parameter (the same numbers, ten times as fast).
     pub fn light_of_pixel(self, value: f32) -> f64 {
         match self.steps() {
             Some(steps) => self.shown(self.transfer.light_of_pixel(steps, value)),
@@ -195,28 +195,23 @@ impl Curve {
         if self.lift > 0.0 { None } else { self.transfer.steps() }
     }
 
-    /// A value (0 to 1) that is raised by black.
+    /// A value (0 to 1) that is lifted by the display's black.
     fn lifted(self, value: f64) -> f64 {
         if self.lift > 0.0 { value + self.lift * (1.0 - value) } else { value }
     }
 
+    /// The inverse of [`Curve::lifted`].
     fn unlifted(self, value: f64) -> f64 {
         if self.lift < 1.0 { (value - self.lift) / (1.0 - self.lift) } else { 0.0 }
-    }
-
-    /// Light of the scene of a value of HLG.
-    fn scene(self, value: f64) -> f64 {
-        hlg_scene(self.lifted(value))
     }
 
     /// What the display shows of the transfer's own light, above its black.
     fn shown(self, light: f64) -> f64 {
         match self.transfer {
-            Transfer::Srgb | Transfer::Linear | Transfer::Gamma(_) => light,
-            Transfer::Bt1886 if self.lift <= 0.0 => light,
-            Transfer::Bt1886 | Transfer::Pq | Transfer::Hlg(_) => {
-                self.above_black((self.scale * light).min(1.0))
-            }
+            Transfer::Pq => self.above_black((self.scale * light).min(1.0)),
+            Transfer::Hlg(_) => self.above_black(light.powf(self.system_gamma)),
+            Transfer::Bt1886 if self.lift > 0.0 => self.above_black(light),
+            Transfer::Srgb | Transfer::Bt1886 | Transfer::Linear | Transfer::Gamma(_) => light,
         }
     }
 
@@ -361,12 +356,13 @@ mod tests {
                 assert!((shown / cd_m2 - 1.0).abs() < 1e-4, "{white_cd_m2}: {shown}");
             }
         }
-        // A screen of 100 cd/m² shows what is brighter as white, one with a black of 1 cd/m² what is darker as black.
+        // A screen of 100 cd/m² shows what is brighter as white, one with a black of 1 cd/m² what is darker
+        // as black.
         assert!((Curve::new(Transfer::Pq, 100.0, 0.0).light(0.7) - 1.0).abs() < 1e-15);
         assert!(Curve::new(Transfer::Pq, 1000.0, 0.001).light(0.1) <= 0.0);
     }
 
-    /// BT.1886: L = a max(V + b, 0)^2.4 with a = (Lw^(1/2.4) − Lb^(1/2.4))^2.4, b = Lb^(1/2.4)/(Lw^(1/2.4) − Lb^(1/2.4)).
+    /// BT.1886: L = a max(V + b, 0)^2.4 with a = d^2.4 and b = Lb^(1/2.4)/d, d = Lw^(1/2.4) − Lb^(1/2.4).
     #[test]
     fn black_lifts_bt1886() {
         let (white, black) = (100.0_f64, 0.1_f64);
@@ -381,8 +377,8 @@ mod tests {
         }
     }
 
-    /// BT.2100-2 and BT.2408: on 1000 cd/m² HLG 75 % is 203 cd/m², 38 % is 26 cd/m² and 50 % is 50.7; the system gamma
-    /// on 400, 1000 and 2000 cd/m² is 1.03, 1.2 and 1.33.
+    /// BT.2100-2 and BT.2408: on 1000 cd/m² HLG 75 % is 203 cd/m², 38 % is 26 cd/m² and 50 % is 50.7; the
+    /// system gamma on 400, 1000 and 2000 cd/m² is 1.03, 1.2 and 1.33.
     #[test]
     fn hlg_on_displays() {
         let curve = Curve::new(Transfer::Hlg(None), 1000.0, 0.0);

@@ -78,8 +78,8 @@ pub struct Expected {
     guided: ConeSum,
 }
 
-/// What is kept from one frame of a scene to the next: how the cones see the screen after the last turn of the eye,
-/// in steps. Whatever is in it, frames are the same.
+/// What is kept from one frame of a scene to the next: how the cones see the screen after the last turn of
+/// the eye, in steps. Whatever is in it, frames are the same.
 #[derive(Clone, Default)]
 pub struct Memo(Option<([i64; 2], Arc<Turned>)>);
 

@@ -196,7 +196,8 @@ fn bit_light(display: &Display, channel: Channel, rgb: &[f32], place: Place, bit
     let weight = f64::from(1_u32 << bit) / f64::from((1_u32 << bits) - 1);
     let values = std::array::from_fn(|i| f64::from(rgb[i]).clamp(0.0, 1.0));
     let of_bit = |light: f64| if step(light, bits, dither, place) >> bit & 1 == 1 { weight } else { 0.0 };
-    channel.of(display.curve().lights(values).map(of_bit))
+    let lights = display.curve().lights(values).map(of_bit);
+    channel.of(|i| lights[i])
 }
 
 /// Light of one pixel over the whole frame, all layers.

@@ -186,8 +186,8 @@ impl Turn {
         Displaced { apart, light, stretch: DMat2::from_cols(by(DVec2::X), by(DVec2::Y)) }
     }
 
-    /// The same for a pixel's middle, and the light that enters the pupil from there, relative to a point at the nominal
-    /// distance that faces the eye.
+    /// The same for a pixel's middle, and the light that enters the pupil from there, relative to a point at
+    /// the nominal distance that faces the eye.
     pub fn entering(
         &self,
         middle_px: DVec2,

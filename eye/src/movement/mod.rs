@@ -1,11 +1,11 @@
 //! Eye movement during viewing (§11): where the line of sight meets the screen at a time.
 //!
-//! The line of sight starts on the fixated point; a movement is a path (x, y) of visual angle from there: drift, random walk or a
-//! recording, with tremor and microsaccades on top. The eye turns about its rotation centre; seen from straight ahead
-//! every turn is about an axis in Listing's plane. The screen stays where it is: [`Gaze::screen_tangent`] is how far
-//! the place moves over it that one place of the retina sees, the fovea or another ([`Gaze::seen_along`]).
-//! [`Gaze::path`] gives a stretch of time as straight lines on the screen, to 1e-6 rad (0.003 arcmin); the default
-//! drift is one line a frame.
+//! The line of sight starts on the fixated point; a movement is a path (x, y) of visual angle from there:
+//! drift, random walk or a recording, with tremor and microsaccades on top. The eye turns about its rotation
+//! centre; seen from straight ahead every turn is about an axis in Listing's plane. The screen stays where it
+//! is: [`Gaze::screen_tangent`] is how far the place moves over it that one place of the retina sees, the
+//! fovea or another ([`Gaze::seen_along`]). [`Gaze::path`] gives a stretch of time as straight lines on the
+//! screen, to 1e-6 rad (0.003 arcmin); the default drift is one line a frame.
 //!
 //! # Stability
 //! The usual slerp through acos is NaN or 0/0 below 1e-8 rad; here the angle is known, so no arc cosine is taken.
@@ -121,8 +121,8 @@ impl Base {
 }
 
 impl Gaze {
-    /// The movement of an eye that fixates a point of a screen at rest, over frames of a length (s); as its fovea sees
-    /// it.
+    /// The movement of an eye that fixates a point of a screen at rest, over frames of a length (s); as its
+    /// fovea sees it.
     ///
     /// # Errors
     /// When the eye would turn by more than 45°, or a frame would hold more movement than is served.
@@ -254,8 +254,8 @@ impl Gaze {
         centre + *turned * (place - centre)
     }
 
-    /// Irradiance at the corneal apex from the place on the screen that is seen after a turn (radians), over that at
-    /// rest.
+    /// Irradiance at the corneal apex from the place on the screen that is seen after a turn (radians), over
+    /// that at rest.
     pub fn light(&self, law: EmissionLaw, turn: DVec2) -> f64 {
         let screen = &self.fixation.screen;
         let apex = self.turned_place(&self.orientation_at(turn), DVec3::ZERO);
@@ -419,8 +419,8 @@ mod tests {
         let fast = moving(&drift(60000.0, 0.0), 100.0, 1, 0.04).unwrap();
         let path = fast.path(0.0, 0.04);
         assert!(path.len() > 10, "40° are not straight in time on a flat screen");
-        // Rotation centre 13.5 mm behind the apex along the optical axis and 0.5 mm nasal; the line of sight is 5°
-        // from the axis.
+        // Rotation centre 13.5 mm behind the apex along the optical axis and 0.5 mm nasal; the line of sight
+        // is 5° from the axis.
         let (sin, cos) = 5_f64.to_radians().sin_cos();
         let (behind, temporal) = (13.5 * cos - 0.5 * sin, -(0.5 * cos + 13.5 * sin));
         let (far, turn) = (1000.0 + behind, 40_f64.to_radians());

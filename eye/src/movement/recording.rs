@@ -1,4 +1,5 @@
-//! The table of a recorded gaze: comma-separated values with a header line; columns are read by name and unit.
+//! The table of a recorded gaze: comma-separated values with a header line; columns are read by name and
+//! unit.
 
 /// A column of the file: its name, and the factor from its unit to that of the schema.
 type Column = (&'static str, f64);
@@ -21,8 +22,8 @@ pub struct RecordedGaze {
     pub y_arcmin: Vec<f64>,
 }
 
-/// Reads a table's text. Commas, semicolons or tabs separate cells; lines that start with # are comments; a byte
-/// order mark and carriage returns are ignored.
+/// Reads a table's text. Commas, semicolons or tabs separate cells; lines that start with # are comments; a
+/// byte order mark and carriage returns are ignored.
 ///
 /// # Errors
 /// The line and what is wrong: a header with other or missing columns, or a cell that is no number.

@@ -13,7 +13,8 @@ use super::prescription::Prescription;
 use super::schematic_eye::{EyeState, SchematicEye};
 use serde::{Deserialize, Serialize};
 
-/// Smallest nominal A that a law is taken for; no eye accommodates below 0, but what it would need is looked for there.
+/// Smallest nominal A that a law is taken for; no eye accommodates below 0, but what it would need is looked
+/// for there.
 pub(super) const LEAST_A: f64 = -2.0;
 
 /// Navarro's accommodation law: what is added to each quantity, times ln(A + 1) or A.
@@ -161,8 +162,9 @@ impl SchematicEye {
         })
     }
 
-    /// The nominal accommodation of an eye that looks at an object at a distance (mm) and a wavelength (nm): between
-    /// none and its amplitude (D; `None`: what its law allows). Nothing lets an eye see sharply beyond its far point.
+    /// The nominal accommodation of an eye that looks at an object at a distance (mm) and a wavelength (nm):
+    /// between none and its amplitude (D; `None`: what its law allows). Nothing lets an eye see sharply
+    /// beyond its far point.
     ///
     /// # Errors
     /// As [`SchematicEye::accommodation_for`]; an object nearer than the law reaches.

@@ -119,7 +119,8 @@ impl BeamField {
     }
 }
 
-/// 1/distance of the point of the screen whose light travels along `direction` (eye frame), 1/mm; 0 where there is none.
+/// 1/distance of the point of the screen whose light travels along `direction` (eye frame), 1/mm; 0 where
+/// there is none.
 fn vergence(projection: &Projection, direction: DVec3) -> f64 {
     let (screen, eye) = (projection.screen(), projection.eye());
     if screen.is_frontal() {

@@ -135,6 +135,7 @@ impl SchematicEye {
         let length = p.axial_length_mm();
         let stop_z = cornea + depth;
         let back_z = stop_z + lens_thickness;
+        // Place the surfaces from the corneal apex on.
         let conic = |vertex_z, radius, conic| Conic { vertex_z, radius, conic };
         let surface = |data: &SurfaceData, base: Conic| placed(data, base, s.side);
         let surfaces = [
@@ -162,6 +163,7 @@ impl SchematicEye {
             object_distance_mm: f64::INFINITY,
             fovea: Fovea::new(centre + DVec3::new(0.0, 0.0, -p.retina_radius_mm), centre, s.side),
         };
+        // The pupils are images of the stop.
         let cardinal: Cardinal = eye.cardinal(p.reference_wavelength_nm);
         let pupil = |m: f64, z| DVec3::new(0.0, -s.decentre_mm * m, z);
         eye.entrance_pupil = pupil(cardinal.stop_magnification, cardinal.entrance_pupil_z_mm);

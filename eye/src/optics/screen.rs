@@ -89,8 +89,8 @@ impl Screen {
         origin + along * oblique.right + t.y * oblique.up + depth * oblique.normal()
     }
 
-    /// Unit vector in which light of the point `t` travels to the corneal apex, in a frame of which the view frame's axes are
-    /// given, and its distance over D.
+    /// Unit vector in which light of the point `t` travels to the corneal apex, in a frame of which the view
+    /// frame's axes are given, and its distance over D.
     pub(super) fn light_from(&self, t: DVec2, [right, up, forward]: [DVec3; 3]) -> (DVec3, f64) {
         let way = self.way(t);
         let length = if self.is_frontal() { 1.0_f64.hypot(t.length()) } else { way.length() };

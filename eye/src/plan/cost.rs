@@ -37,11 +37,12 @@ const WHITE_NM: f64 = 300.0;
 const LATERAL: [f64; 2] = [1.6e-4, 6.2e-5];
 /// Spectral modes of the kernels, at most.
 const MODES: f64 = 8.0;
-/// CPU seconds per pixel of the screen, whose light the budget and the audit sum up: once; of a frame and of its audit
-/// for each primary.
+/// CPU seconds per pixel of the screen, whose light the budget and the audit sum up: once; of a frame and of
+/// its audit for each primary.
 const SECONDS_PER_SCREEN_PIXEL: f64 = 1.6e-7;
 const SECONDS_PER_PIXEL_LIGHT: f64 = 4e-8;
-/// Bytes per pixel of a picture, and of the budget: for all primaries and for each, and of light while it is summed up.
+/// Bytes per pixel of a picture, and of the budget: for all primaries and for each, and of light while it is
+/// summed up.
 const BYTES_PER_PICTURE_PIXEL: f64 = 12.0;
 const BYTES_PER_PIXEL: [f64; 2] = [12.0, 4.0];
 /// Bytes of a cone in a tile.

@@ -36,10 +36,10 @@ const BEND: f64 = 1.4e-4;
 /// What it adds per sparsity of the picture above 1, over the bend in a blur: one lit pixel of one line, 3 mm at
 /// 20° 1.2e-3 in all, 6 mm at 20 and 30° 2.2e-3 and 1.1e-2, 8 mm at 20° 7.6e-3.
 const BEND_OF_A_POINT: f64 = 0.4;
-/// Error of means over the relative change of the size on the screen of what a place of the retina sees as the eye
-/// turns, of pictures and of an even one (`eyes_that_turn` of the test `validity`). Squares of one pixel of 2.9 arcmin,
-/// 3 mm, a turn of 63 arcmin, in all: gaze 24° aside 3.7e-3 of a change of 1.7e-2 at the fovea and of 1.1e-2 at 8°; an
-/// even field at most 6e-4.
+/// Error of means over the relative change of the size on the screen of what a place of the retina sees as
+/// the eye turns, of pictures and of an even one (`eyes_that_turn` of the test `validity`). Squares of one
+/// pixel of 2.9 arcmin, 3 mm, a turn of 63 arcmin, in all: gaze 24° aside 3.7e-3 of a change of 1.7e-2 at the
+/// fovea and of 1.1e-2 at 8°; an even field at most 6e-4.
 const TURN: f64 = 0.3;
 const TURN_OF_UNIFORM: f64 = 0.02;
 /// Part of the copies' light that is left in the means after the tail's law is subtracted.

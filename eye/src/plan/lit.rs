@@ -46,8 +46,8 @@ pub fn primaries(experiment: &Experiment) -> Vec<bool> {
     if lit.contains(&true) { lit } else { all }
 }
 
-/// Least and most of the lit pixels' edges, pixels of the display; `None` when nothing is lit. The whole display where
-/// the picture is not looked at.
+/// Least and most of the lit pixels' edges, pixels of the display; `None` when nothing is lit. The whole
+/// display where the picture is not looked at.
 pub fn bounds_px(experiment: &Experiment) -> Option<[DVec2; 2]> {
     let display = &experiment.display;
     let size = DVec2::new(f64::from(display.width_px), f64::from(display.height_px));

@@ -48,8 +48,8 @@ pub struct Setup {
     pub tiles: Vec<RegionUm>,
     /// The mosaic's parameters.
     pub retina: RetinaParams,
-    /// Digest of the table of measured cones, if they take the mosaic's place, and the type of cones that were not
-    /// classified.
+    /// Digest of the table of measured cones, if they take the mosaic's place, and the type of cones that
+    /// were not classified.
     pub mosaic: Option<(String, Option<ConeType>)>,
     /// Distance between a cone and the nearest copy of the picture, beyond what the blur asks, µm.
     pub guard_um: f64,

@@ -1,9 +1,10 @@
 //! Stored form of tiles and retinas: little-endian, own format.
 //!
-//! magic (8 bytes) | version u32 | place (4 x f64: i, j, 0, 0 or the region) | length of the parameters u32 | parameters (postcard) | counts (7 x u64) |
-//! cones n u32 | corners c u32 | id n x u64 | x n x f64 | y n x f64 | polygon_start (n + 1) x u32 | polygon_xy 2c x f32 | cell area n x f32 |
-//! aperture n x f32 | pointing 2n x f32 | type, and 4 more at an edge, n x u8 | BLAKE3 of all before (32 bytes).
-//! A reader checks magic, version, total length and digest before it allocates.
+//! magic (8 bytes) | version u32 | place (4 x f64: i, j, 0, 0 or the region) | length of the parameters u32 |
+//! parameters (postcard) | counts (7 x u64) | cones n u32 | corners c u32 | id n x u64 | x n x f64 | y n x
+//! f64 | polygon_start (n + 1) x u32 | polygon_xy 2c x f32 | cell area n x f32 | aperture n x f32 | pointing
+//! 2n x f32 | type, and 4 more at an edge, n x u8 | BLAKE3 of all before (32 bytes). A reader checks magic,
+//! version, total length and digest before it allocates.
 
 use glam::DVec2;
 

@@ -34,8 +34,8 @@ use crate::rng::{Purpose, Stream};
 const CLOSE: f64 = 0.6 * RADIUS_FACTOR;
 /// Side of the largest bin of a search, µm.
 const LARGEST_BIN_UM: f64 = 25.0;
-/// Distance of a corner of a cell from the cone, spacings, beyond which the cell is open: at the rim or beside a gap.
-/// Corners of a hexagon are 0.58 away.
+/// Distance of a corner of a cell from the cone, spacings, beyond which the cell is open: at the rim or
+/// beside a gap. Corners of a hexagon are 0.58 away.
 const OPEN: f64 = 0.95;
 /// Nearest cones that give the spacing.
 const NEAREST: usize = 6;
@@ -68,7 +68,7 @@ pub fn import(
     let table = Table::read(csv, &field, type_unknown)?;
     let (relaxed, near) = as_relaxed(&field, &table)?;
     let mut cells = build_cells(&relaxed, 0.0);
-    let inner_um2 = inner_areas(&relaxed, &cells, &near);
+    let inner = inner_areas(&relaxed, &cells, &near);
     mark_close(&relaxed, &mut cells.close);
     let mut cones = Cones::default();
     let (mut min, mut max, mut margin) = (DVec2::INFINITY, DVec2::NEG_INFINITY, 0.0_f64);
@@ -83,12 +83,12 @@ pub fn import(
         if let Some(apertures_um2) = &table.aperture_um2 {
             // A measured aperture is what it is.
             coverage = apertures_um2[i] / (area(cell) * factor);
-        } else if let Some(inner_um2) = inner_um2[i].um2 {
+        } else if let Some(inner_um2) = inner[i].um2 {
             coverage *= (inner_um2 / (area(cell) * factor)).min(1.0);
         }
         cones.push(id, at, kind, cell, factor, coverage);
         if let Some(edge) = cones.edge.last_mut() {
-            *edge = inner_um2[i].is_edge;
+            *edge = inner[i].is_edge;
         }
         cones.counts.close_pairs += u64::from(cells.close[i]);
         cones.counts.voids += u64::from(cells.void[i]);
@@ -103,22 +103,23 @@ pub fn import(
 /// Distance and number of the nearest cones of a cone.
 type Nearest = Vec<(f64, u32)>;
 
-/// What the cells inside say of a cone.
+/// What is known of a cone by the cells inside.
 #[derive(Clone, Copy)]
 struct Inner {
     /// Whether its own cell is open: at the rim or beside a gap.
     is_edge: bool,
-    /// Of such a cone, the median area of the cells of those of its nearest cones that are inside, µm²; where none is, the
-    /// median of what they get; where they know none, `None`.
+    /// Of such a cone, the median area of the cells of those of its nearest cones that are inside, µm²; where
+    /// none is, the median of what they get; where they know none, `None`.
     um2: Option<f64>,
 }
 
+/// What the cells inside say of each cone.
 fn inner_areas(cones: &Relaxed, cells: &Cells, near: &[Nearest]) -> Vec<Inner> {
     let n = near.len();
     let of_cell = |i: usize| area(cells.polygon(i)) * cones.metric[i].area_factor();
     let is_edge = |i: usize| {
-        // A cone at a straight rim has four neighbours at their spacing; where there are fewer the cell reaches its
-        // limit.
+        // A cone at a straight rim has four neighbours at their spacing; where there are fewer the cell
+        // reaches its limit.
         let spacing = near[i].get(3).map_or(cones.spacing[i], |(distance, _)| *distance);
         let across = |corner: &DVec2| cones.metric[i].length2(*corner - cones.at[i]).sqrt();
         let far = |corner: &DVec2| across(corner) > OPEN * spacing;

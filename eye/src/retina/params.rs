@@ -249,6 +249,7 @@ impl RetinaParams {
         check("cone_ratio.l", l, 0.0, 1.0, "0 to 1")?;
         check("cone_ratio.m", m, 0.0, 1.0, "0 to 1")?;
         check("cone_ratio.s", s, 0.0, 1.0, "0 to 1")?;
+        // Shares of types sum to 1.
         let off = (l + m + s - 1.0).abs();
         if off > 1e-9 {
             let (field, allowed) = ("cone_ratio", "shares that sum to 1");
@@ -271,6 +272,7 @@ impl RetinaParams {
         if let Some(dropout) = self.dropout {
             check("dropout.fraction", dropout.fraction, 0.0, 1.0, "0 to 1")?;
         }
+        // Places: the optic disc, the sphere, the exit pupil.
         if let Some(disc) = self.optic_disc {
             for value in disc.centre_deg {
                 check("optic_disc.centre_deg", value, -90.0, 90.0, "-90 to 90")?;

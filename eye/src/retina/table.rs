@@ -1,9 +1,11 @@
 //! The text of a measured mosaic: checked rows of places and types.
 //!
-//! Comma-separated lines with a header that names the columns `x_um`, `y_um` (µm of the chart) and `type` (L, M, S or 0, 1, 2), in any order and any
-//! case; `aperture_um` (diameter of the disc that collects light) and `id` (a whole number, each once) may be there; other columns are ignored.
-//! A type that was not classified (empty, ?, U, unknown, NA, NaN) is refused, or taken as what the caller says. Lines that start with # and empty lines are skipped; a byte-order mark, CRLF and values in double
-//! quotes (without line breaks in them) are accepted.
+//! Comma-separated lines with a header that names the columns `x_um`, `y_um` (µm of the chart) and `type` (L,
+//! M, S or 0, 1, 2), in any order and any case; `aperture_um` (diameter of the disc that collects light) and
+//! `id` (a whole number, each once) may be there; other columns are ignored. A type that was not classified
+//! (empty, ?, U, unknown, NA, NaN) is refused, or taken as what the caller says. Lines that start with # and
+//! empty lines are skipped; a byte-order mark, CRLF and values in double quotes (without line breaks in them)
+//! are accepted.
 
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_4;
@@ -77,7 +79,8 @@ pub enum ImportError {
     },
     /// A type was not classified.
     #[error(
-        "line {line}, column \"type\": {value:?} is no type; allowed are L, M or S, or 0, 1 or 2, or retina.mosaic.type_unknown"
+        "line {line}, column \"type\": {value:?} is no type; allowed are L, M or S, or 0, 1 or 2, or \
+         retina.mosaic.type_unknown"
     )]
     UnknownType {
         /// The line.

@@ -41,8 +41,8 @@ pub fn paper_rows() -> Vec<ChartRow> {
         .collect()
 }
 
-/// A row as it lies on the sheet of the chart: pixels, y down. The sheet is the screen, or where sizes hold everywhere that
-/// of visual angles with the gaze centre in the same place.
+/// A row as it lies on the sheet of the chart: pixels, y down. The sheet is the screen, or where sizes hold
+/// everywhere that of visual angles with the gaze centre in the same place.
 struct Placed<'a> {
     letters: Vec<char>,
     row: &'a ChartRow,

@@ -29,7 +29,8 @@ pub struct Yuv {
     pub chroma_siting: Option<ChromaSiting>,
 }
 
-/// Where a chroma sample stands among the luma samples that it belongs to (ITU-T H.273, chroma sample location types 0 to 2).
+/// Where a chroma sample stands among the luma samples that it belongs to (ITU-T H.273, chroma sample
+/// location types 0 to 2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ChromaSiting {
     /// On the left column, between rows: MPEG-2, H.264 and most video.
@@ -269,8 +270,8 @@ mod tests {
         }
     }
 
-    /// 24 pictures a second on 60 Hz: frame 2 is half of picture 0 and half of 1; at 120 each frame is two pictures. No
-    /// part of a film is lost.
+    /// 24 pictures a second on 60 Hz: frame 2 is half of picture 0 and half of 1; at 120 each frame is two
+    /// pictures. No part of a film is lost.
     #[test]
     fn frames_hold_the_light_of_their_time() {
         let parts = |frame: u32, film_hz: f64| FromFilm::Resample.pictures(frame, film_hz, 60.0);

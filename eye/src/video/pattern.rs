@@ -266,7 +266,8 @@ mod tests {
         assert!(runs[1..6].iter().all(|run| (*run as f64 - stroke_px).abs() <= 1.0), "{runs:?}");
     }
 
-    /// A row of letters of 20.8°: at the gaze's scale it is even in pixels, everywhere its end is at the tangent of 10.4°.
+    /// A row of letters of 20.8°: at the gaze's scale it is even in pixels, everywhere its end is at the
+    /// tangent of 10.4°.
     #[test]
     fn letters_have_their_size_everywhere() {
         let mut display = display(2400, 64);

@@ -86,8 +86,8 @@ impl<'a> ScreenView<'a> {
         self.deg_per_px * DVec2::new(from_gaze.x, -from_gaze.y)
     }
 
-    /// How far a point (pixels) is to the right of the gaze, degrees: by the pixels' size at the gaze, or by its visual
-    /// angle.
+    /// How far a point (pixels) is to the right of the gaze, degrees: by the pixels' size at the gaze, or by
+    /// its visual angle.
     pub fn across_deg(&self, px: DVec2, sizes_hold: SizesHold) -> f64 {
         match sizes_hold {
             SizesHold::AtGaze => (px.x - self.gaze_px.x) * self.pixel_deg()[0],
@@ -95,7 +95,8 @@ impl<'a> ScreenView<'a> {
         }
     }
 
-    /// The left edge of the screen in the row of the gaze and its width, degrees as in [`ScreenView::across_deg`].
+    /// The left edge of the screen in the row of the gaze and its width, degrees as in
+    /// [`ScreenView::across_deg`].
     pub fn edge_and_width_deg(&self, sizes_hold: SizesHold) -> [f64; 2] {
         let edge = |x: f64| self.across_deg(DVec2::new(x, self.gaze_px.y), sizes_hold);
         let left = edge(0.0);

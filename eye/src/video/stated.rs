@@ -1,4 +1,5 @@
-//! What a picture says of the meaning of its pixel values, held against the display's transfer, which decides.
+//! What a picture says of the meaning of its pixel values, held against the display's transfer, which
+//! decides.
 
 use crate::display::Transfer;
 

@@ -1,8 +1,9 @@
 //! Y4M films: 4:2:0, 4:2:2, 4:4:4 and mono, 8 to 16 bit, progressive; luma and chroma to red, green and blue (ITU-R BT.601, 709, 2020).
 //!
-//! Chroma is interpolated linearly between its samples. Where they stand the film says: 420jpeg between columns and rows
-//! (and so does a film that names no colour space), 420mpeg2 on every other column and between rows, 420paldv on every
-//! other column and row. 420 and 420 of more bits do not say it and need to be told; 422 stands on every other column.
+//! Chroma is interpolated linearly between its samples. Where they stand the film says: 420jpeg between
+//! columns and rows (and so does a film that names no colour space), 420mpeg2 on every other column and
+//! between rows, 420paldv on every other column and row. 420 and 420 of more bits do not say it and need to
+//! be told; 422 stands on every other column.
 
 use super::{ChromaSiting, DecodeError, Limits, Matrix, Picture, Range, Yuv};
 

@@ -1,5 +1,5 @@
-//! Screens off the middle, tilted and curved, and eyes that turn before them: the engines against the audit, which traces
-//! source points of its own and turns each cone's own line of sight.
+//! Screens off the middle, tilted and curved, and eyes that turn before them: the engines against the audit,
+//! which traces source points of its own and turns each cone's own line of sight.
 
 use photoneye_eye::display::{EmissionLaw, Placement, White};
 use photoneye_eye::experiment::{Engine, Experiment, Gaze, Movement, Pattern};
@@ -45,8 +45,8 @@ fn audit(experiment: &Experiment) -> (Verdict, f64) {
     (verdict(&samples, experiment.counts.engine != Engine::Expected).unwrap(), estimate)
 }
 
-/// Eyes at rest. The audit followed pixels that are seen foreshortened too coarsely: a near screen tilted by 50° was 3e-3
-/// off, even fields too.
+/// Eyes at rest. The audit followed pixels that are seen foreshortened too coarsely: a near screen tilted by
+/// 50° was 3e-3 off, even fields too.
 #[test]
 fn screens_in_every_place() {
     let curved = Placement::Fixed {
@@ -73,8 +73,9 @@ fn screens_in_every_place() {
     }
 }
 
-/// Eyes that turn by 15 and 63 arcmin, squares of one pixel (2.9 arcmin) and even fields: `TURN` of `plan/error.rs`. One
-/// setting is made by hand, so that the plan does not refuse what the target does not allow.
+/// Eyes that turn by 15 and 63 arcmin, squares of one pixel (2.9 arcmin) and even fields: `TURN` of
+/// `plan/error.rs`. One setting is made by hand, so that the plan does not refuse what the target does not
+/// allow.
 #[test]
 fn eyes_that_turn() {
     for (name, placement, gaze) in [
@@ -96,8 +97,8 @@ fn eyes_that_turn() {
     }
 }
 
-/// Photons of an eye that turns land where its cones see them. With one movement for a whole tile, and the light of the
-/// places at rest, squares of four pixels were 2.4e-2 off.
+/// Photons of an eye that turns land where its cones see them. With one movement for a whole tile, and the
+/// light of the places at rest, squares of four pixels were 2.4e-2 off.
 #[test]
 fn photons_of_an_eye_that_turns() {
     let pattern = Pattern::Checkerboard { square_px: 4 };

@@ -378,8 +378,8 @@ fn even_fields_across_the_kinks_of_pigments() {
     }
 }
 
-/// A patch inside the picture, behind a pupil whose coma displaces images: light of the cones at its edges comes from
-/// places beyond it. They were off by up to 0.22 of the brightest.
+/// A patch inside the picture, behind a pupil whose coma displaces images: light of the cones at its edges
+/// comes from places beyond it. They were off by up to 0.22 of the brightest.
 #[test]
 fn cones_at_the_edge_of_a_patch() {
     let mut experiment = scene(Pattern::Checkerboard { square_px: 4 }, 6.0, 10.0, 1e-3);

@@ -1,5 +1,6 @@
-//! Every field of an experiment does something: in a scene where it matters it changes the counts or the plan, or it is
-//! refused. `fields.json` has the scenes; a field of the schema that is in none of them fails the test.
+//! Every field of an experiment does something: in a scene where it matters it changes the counts or the
+//! plan, or it is refused. `fields.json` has the scenes; a field of the schema that is in none of them fails
+//! the test.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;

@@ -93,8 +93,8 @@ impl Landing {
         [self.middle - self.half, self.middle + self.half]
     }
 
-    /// The pixel whose top left corner is given, while the line of sight moves within bounds (pixels from the gaze
-    /// centre); about its middle it is stretched.
+    /// The pixel whose top left corner is given, while the line of sight moves within bounds (pixels from the
+    /// gaze centre); about its middle it is stretched.
     pub(super) fn patch(
         &self,
         scene: &Scene,
